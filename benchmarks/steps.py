@@ -9,7 +9,8 @@ parts that no option switches off (means over neighbours, suns, courtyards, torn
 `--variant 'raw: means=0'`; the defaults are always the first. Columns: mean absolute error by the protocol; the same
 about the median; each at most 5 m; beside steps of more than 3 m signed and absolute; away from them absolute; median;
 CPU seconds of matching (--detail adds the errors by class and the walls' mean place outward, and what 90 % keep, by
-height; NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 holds it to a thread; the first scene's include compiling).
+height, as registered and moved by what all walls have in common besides; NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 holds
+it to a thread; the first scene's include compiling).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from unittest.mock import patch
 import numpy as np
 
 from sattools.compare import Truth, compare_dsm, read_reference
-from sattools.compare.facades import wall_figures, wall_offsets
+from sattools.compare.facades import find_walls, wall_figures
 from sattools.prior import PriorOptions
 from sattools.prior.confidence import match_confidence
 from sattools.prior.files import write_surroundings
@@ -179,12 +180,20 @@ def coverage(figures: dict[str, Any], difference: np.ndarray, std: np.ndarray, g
 def detail(figures: dict[str, Any], registered: np.ndarray, truth: Truth) -> str:
     """Errors by class, places of walls by height."""
     parts = [f"{name} {of['mae']:.2f}" for name, of in figures["classes"].items() if of.get("mae") is not None]
-    for heights in pairwise(WALLS_M):
-        of = wall_figures(wall_offsets(registered, truth.heights, truth.grid.cell_size, truth.classes, heights))
-        figures[f"walls_{heights[0]:g}"] = of
-        if of["median"] is not None:
-            parts.append(f"walls from {heights[0]:g} m {of['mean']:+.2f} ({of['p90']:.2f}, {of['pieces']})")
-    return "      " + ", ".join(parts)
+    lines = ["      " + ", ".join(parts)]
+    walls = find_walls(registered, truth.heights, truth.grid.cell_size, truth.classes)
+    for key, title, found in (
+        ("walls", "walls", walls),
+        ("walls_without_shift", "without what all are shifted by", walls.without_shift()),
+    ):
+        parts = []
+        for heights in pairwise(WALLS_M):
+            of = figures[f"{key}_{heights[0]:g}"] = wall_figures(found.between(heights).offset)
+            if of["median"] is not None:
+                parts.append(f"from {heights[0]:g} m {of['mean']:+.2f} ({of['p90']:.2f}, {of['pieces']})")
+        if parts:
+            lines.append(f"      {title} " + ", ".join(parts))
+    return "\n".join(lines)
 
 
 def row(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,16 +15,46 @@ PLATEAU_M = (1.0, 3.0)  # from the wall, on both sides, where the reference has 
 FLAT_M = 1.0  # range of heights that is flat
 LATERAL_M = 2.0  # along the wall, to both sides, where it has to go on: corners have no normal
 SAMPLES_PER_CELL = 8
+SHIFT_ROUNDS, SHIFT_SCALE_M = 10, 0.3  # of the shift that walls have in common; what is far off it counts little
 
 
-def wall_offsets(
-    predicted: np.ndarray,
-    reference: np.ndarray,
-    cell: float,
-    classes: np.ndarray | None = None,
-    heights: tuple[float, float] = (0.0, np.inf),
-) -> np.ndarray:
-    """Signed distance of each piece of wall from where a prediction has it.
+class Walls(NamedTuple):
+    """Pieces of wall, see `find_walls`.
+
+    Attributes:
+        offset: ``[N]`` float64 distance from where a prediction has it [m], outward positive; NaN = it has none.
+        outward: ``[N, 2]`` unit vector (east, north) away from the building.
+        rise: ``[N]`` between the plateaus [m].
+    """
+
+    offset: np.ndarray
+    outward: np.ndarray
+    rise: np.ndarray
+
+    def between(self, heights: tuple[float, float]) -> Walls:
+        """Those that rise by as much [m]."""
+        chosen = (self.rise >= heights[0]) & (self.rise < heights[1])
+        return Walls(*(values[chosen] for values in self))
+
+    def without_shift(self) -> Walls:
+        """The same where the whole prediction is moved by what walls to all sides have in common.
+
+        A registration by whole cells leaves up to half a cell to every side, and more where single towers decide it:
+        then walls that face one way are too far out by as much as those that face the other way are too far in.
+        """
+        known = np.isfinite(self.offset)
+        if not known.any():
+            return self
+        design = np.column_stack([self.outward, np.ones(len(self.offset))])[known]  # and grown by as much to all sides
+        weight, found = np.ones(len(design)), np.zeros(3)
+        for _ in range(SHIFT_ROUNDS):
+            found = np.linalg.lstsq(design * weight[:, None], self.offset[known] * weight, rcond=None)[0]
+            weight = 1 / np.hypot(1.0, (self.offset[known] - design @ found) / SHIFT_SCALE_M)
+        return self._replace(offset=self.offset - self.outward @ found[:2])
+
+
+def find_walls(predicted: np.ndarray, reference: np.ndarray, cell: float, classes: np.ndarray | None = None) -> Walls:
+    """Where a prediction has each piece of a reference's walls.
 
     A piece is an edge between two reference cells with a step of more than 3 m, on a straight wall between two
     plateaus that are flat from 1 to 3 m away. Both surfaces are cut along the wall's normal (bilinear between cells);
@@ -36,10 +66,6 @@ def wall_offsets(
         reference: ``[H, W]`` heights with vertical walls [m], NaN = unknown.
         cell: edge of a cell [m].
         classes: ``[H, W]`` class codes; walls with trees (5) on a plateau do not count.
-        heights: between which the plateaus differ [m]; all walls of more than 3 m if not given.
-
-    Returns:
-        ``[N]`` float64 offsets [m], outward positive (the building is too large); NaN where the prediction has no wall.
     """
     from scipy.ndimage import gaussian_filter, map_coordinates
 
@@ -69,7 +95,7 @@ def wall_offsets(
     bottom, top = (np.median(profile[:, part], axis=1) for part in (low, high))
     middle = 0.5 * (bottom + top)
     true_place = _rising(s, profile, middle, np.zeros(len(at)))
-    good = (top - bottom > STEP_M) & (top - bottom >= heights[0]) & (top - bottom < heights[1])
+    good = top - bottom > STEP_M
     for aside in (-LATERAL_M, 0.0, LATERAL_M):
         beside = cut(reference, aside)
         good &= np.ptp(beside[:, low], axis=1) <= FLAT_M
@@ -79,8 +105,30 @@ def wall_offsets(
         trees = cut((classes == TREES).astype(np.float64))
         good &= ~(trees[:, low | high] > 0).any(axis=1)
     place = _rising(s, cut(predicted), middle, true_place)
-    offsets: np.ndarray = (true_place - place)[good]
-    return offsets
+    outward = np.column_stack([-normal[:, 1], normal[:, 0]])  # rows go south
+    return Walls((true_place - place)[good], outward[good], (top - bottom)[good])
+
+
+def wall_offsets(
+    predicted: np.ndarray,
+    reference: np.ndarray,
+    cell: float,
+    classes: np.ndarray | None = None,
+    heights: tuple[float, float] = (0.0, np.inf),
+) -> np.ndarray:
+    """Signed distance of each piece of wall from where a prediction has it, see `find_walls`.
+
+    Args:
+        predicted: ``[H, W]`` registered heights [m], NaN = none.
+        reference: ``[H, W]`` heights with vertical walls [m], NaN = unknown.
+        cell: edge of a cell [m].
+        classes: ``[H, W]`` class codes; walls with trees (5) on a plateau do not count.
+        heights: between which the plateaus differ [m]; all walls of more than 3 m if not given.
+
+    Returns:
+        ``[N]`` float64 offsets [m], outward positive (the building is too large); NaN where the prediction has no wall.
+    """
+    return find_walls(predicted, reference, cell, classes).between(heights).offset
 
 
 def _rising(s: np.ndarray, profiles: np.ndarray, level: np.ndarray, near: np.ndarray) -> np.ndarray:
@@ -111,4 +159,4 @@ def wall_figures(offsets: np.ndarray) -> JsonObject:
     return figures
 
 
-__all__ = ["wall_figures", "wall_offsets"]
+__all__ = ["Walls", "find_walls", "wall_figures", "wall_offsets"]

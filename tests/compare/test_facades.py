@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from sattools.compare.facades import wall_figures, wall_offsets
+from sattools.compare.facades import Walls, find_walls, wall_figures, wall_offsets
 
 CELL = 0.5
 
@@ -65,6 +65,30 @@ def test_a_shift_moves_opposite_walls_to_opposite_sides() -> None:
     assert np.mean(np.abs(offsets) < 0.01) == pytest.approx(0.5, abs=0.01)
     assert np.mean(np.abs(offsets - 1.0) < 0.01) == pytest.approx(0.25, abs=0.01)
     assert np.mean(np.abs(offsets + 1.0) < 0.01) == pytest.approx(0.25, abs=0.01)
+
+
+def test_what_all_walls_are_moved_by_is_no_error_of_a_wall() -> None:
+    found = find_walls(box(0.5, east=1.0), box(), CELL)
+    assert found.outward[:, 0].min() == pytest.approx(-1.0, abs=0.01)
+    assert found.rise == pytest.approx(np.full(len(found.rise), 10.0))
+    # too large by 0.5 m on all sides, wherever it lies
+    assert found.without_shift().offset == pytest.approx(np.full(len(found.offset), 0.5), abs=0.01)
+
+
+def test_some_walls_that_are_wrong_are_not_the_shift_of_all() -> None:
+    found = find_walls(box(), box(), CELL)
+    offset = np.where((found.outward[:, 0] > 0.9) & (np.arange(len(found.offset)) % 2 == 0), 2.0, 0.0)
+    offset[:3] = np.nan
+    kept = found._replace(offset=offset).without_shift().offset
+    assert np.isnan(kept[:3]).all()
+    # half of the walls of one side are 2 m off: least squares would move all by half a metre
+    assert kept[3:] == pytest.approx(offset[3:], abs=0.05)
+
+
+def test_where_no_wall_is_found_there_is_no_shift_to_take_off() -> None:
+    nothing = Walls(np.array([np.nan]), np.array([[1.0, 0.0]]), np.array([5.0]))
+    assert np.isnan(nothing.without_shift().offset).all()
+    assert nothing.between((6.0, 9.0)).offset.size == 0
 
 
 def test_figures_are_those_of_the_distances_and_the_mean_keeps_its_sign() -> None:
