@@ -17,6 +17,7 @@ PASSES = 2  # twice 1 2 1: as wide as means of cells of twice the size, interpol
 BLURRED_M = (30.0, 60.0)  # the same for cells that a wall divides
 FIRM = (0.4, 0.6)  # mean likeness to one side at walls: below the first they are anywhere, from the second on in place
 SHARP = (0.5, 0.6)  # that of all walls of an area from which on cells with a wall in them belong to one side
+OUTSTANDING = 0.14  # of a cell of the matching by which sharp walls stand too far out
 SCALE_M = 20.0  # distance over which it is averaged
 REACH_SCALES = 4  # of its standard deviations, beyond which a cell does not count for a mean
 ALL_CELLS = 300.0  # walls all over the area that count as much as those around
@@ -146,6 +147,9 @@ def means_of_cells(
 ) -> np.ndarray:
     """Heights on coarser cells: where a step divides a cell, the mean of the side that has more of it.
 
+    Walls stand out by a part of a cell (`OUTSTANDING`), as windows that hold some of a roof go by the roof; so the high
+    side needs that much more. Where walls are blurred, nobody knows.
+
     Args:
         height: ``[H, W]`` [m], without gaps.
         source: its grid.
@@ -171,7 +175,8 @@ def means_of_cells(
     share = (down[row][:, :, None] * across[col][:, None, :]).reshape(size)
     order = np.argsort(parts, axis=1)
     upto = np.cumsum(np.take_along_axis(share, order, axis=1), axis=1)
-    middle = np.take_along_axis(order, (upto >= upto[:, -1:] / 2).argmax(axis=1)[:, None], axis=1)
+    needed = upto[:, -1:] * (0.5 - (1 - blur) * OUTSTANDING / factor)
+    middle = np.take_along_axis(order, (upto >= needed).argmax(axis=1)[:, None], axis=1)
     share *= np.abs(parts - np.take_along_axis(parts, middle, axis=1)) <= step_m
     side = (parts * share).sum(axis=1) / share.sum(axis=1)
     tall = np.clip((BLURRED_M[1] - (high - low)[divided]) / (BLURRED_M[1] - BLURRED_M[0]), 0, 1)

@@ -41,6 +41,22 @@ def test_a_rim_that_looks_like_the_ground_is_lowered(roof: Any) -> None:
     assert (found != true).sum() <= 4
 
 
+def test_a_wall_comes_to_lie_between_the_matchings_step_and_the_edge_that_images_show(roof: Any) -> None:
+    image, true = roof
+    wide = true.copy()
+    wide[7:33, 7:33] = 10.0  # three cells too wide on every side
+    # the strip looks a little more like the ground: likeness about 0.6 * (0.34 - 0.46) / 0.3**2 / 2 = -0.4, as the high
+    # side holds some of it
+    frame = a_frame(np.where((wide > 5) & (true < 5), 0.34, image))
+    found = snap_edges(frame, unseen(frame), wide, 2.0, 0.3)[0]
+    # 0.3 a cell: it takes 0.15 to lower the outermost cell, 0.45 the one behind it
+    assert (found[20, 7:10] > 5).tolist() == [False, True, True]
+    assert (found[7:10, 20] > 5).tolist() == [False, True, True]
+    # on cells of half the size, where the same strip is twice as many, it takes half as much a cell
+    finer = snap_edges(frame, unseen(frame), wide, 2.0, 0.3, 2.0)[0]
+    assert (finer[20, 7:10] > 5).tolist() == [False, False, True]
+
+
 def test_a_roofs_edge_that_was_lost_is_raised(roof: Any) -> None:
     image, true = roof
     narrow = np.zeros_like(true)

@@ -18,7 +18,8 @@ SAME_M = 1.0  # heights this near belong to the same side
 FEWEST_VIEWS = 2
 CAP = 2.0  # log-likelihood ratio at which a view is sure: one date's facade, glare or shadow moves no wall
 CONTRAST = 0.5  # standard deviations by which the sides have to differ in a view that can tell them apart
-STAY = 0.2  # likeness (-1 ... 1) that it takes to change sides
+PULL = 0.3  # likeness (-1 ... 1) that it takes to change sides, a cell of the result from the matching's step
+FAR = 3.0  # cells of it from which on it takes no more
 RIM = -0.2  # likeness to the high side below which a cell of it is a doubtful rim
 # mean likeness to it at the foot of such rims: at the first walls are upright, at the second not
 FOOT = (-0.3, -0.1)
@@ -82,6 +83,10 @@ def snap_edges(
     cells surely on the high side or like those surely on the low side, as this view shows either *at the roof's
     height*: all views can tell, whatever hides the ground.
 
+    Where the matching has its step and where the likeness changes are two measurements of a wall, whose errors have
+    little in common. So the further from the matching's step, the more likeness it takes to change sides: the wall
+    comes to lie between both.
+
     Where walls are upright, the roof's edge is the wall. Where they lean, or lidar and eaves make them wider, there is
     a strip which looks like neither roof nor ground: at the height of the ground, views from outside show something
     else than ground in place of the rims. There matching, which puts the step on the outer side of the strip, is
@@ -128,7 +133,8 @@ def snap_edges(
     lean = leaning(rims, foot, scale, FOOT)
     if not few:
         np.minimum(lean, leaning(rims, lit_foot, scale, LIT_FOOT), out=lean)
-    high = roof + (STAY + (1 - STAY) * lean) * side + OUTWARD * lean
+    stay = PULL * np.clip(_depth(beside_wall, side, FAR * finer) / finer, -FAR, FAR)
+    high = roof + (1 - lean) * stay + lean * side + OUTWARD * lean
     high += lean * (_mean_within(high, beside_wall, 1.0) - high)
     moved = np.where(beside_wall & (side > 0) & (high <= 0), below, height)
     moved = np.where(beside_wall & (side < 0) & (high > 0), above, moved)
@@ -156,6 +162,25 @@ def leaning(rims: np.ndarray, foot: np.ndarray, scale: float, limits: tuple[floa
     mean = mean_around(foot, known, scale)
     upright, not_upright = limits
     return np.clip((mean - upright) / (not_upright - upright), 0.0, 1.0)
+
+
+def _depth(beside_wall: np.ndarray, side: np.ndarray, reach: float) -> np.ndarray:
+    """Cells from the step between the sides, positive on the high one, where they are less than ``reach``.
+
+    Args:
+        beside_wall: ``[H, W]`` bool.
+        side: ``[H, W]`` 1 = high, -1 = low; where cells are beside a wall.
+        reach: beyond it, and where there is one side alone, any number beyond it.
+    """
+    import cv2
+
+    def from_other(high: bool) -> np.ndarray:
+        other = beside_wall & ((side < 0) if high else (side > 0))
+        if not other.any():
+            return np.full(side.shape, reach + 1, np.float32)
+        return np.asarray(cv2.distanceTransform((~other).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)) - 0.5
+
+    return np.where(side > 0, from_other(True), -from_other(False))
 
 
 def _mean_within(values: np.ndarray, region: np.ndarray, scale: float) -> np.ndarray:
