@@ -13,7 +13,7 @@ from sattools.prior.frame import Frame
 from sattools.prior.leftout import left_out_agreement
 from sattools.prior.matching.match import Match, margin_for, match
 from sattools.prior.matching.pairs import choose_pairs
-from sattools.prior.neighbours import STEP_M, means_of_cells, relief
+from sattools.prior.neighbours import OUTSTANDING, STEP_M, means_of_cells, quarters, relief
 from sattools.prior.options import PriorOptions
 from sattools.prior.tones import grey, toned_views, with_contrast
 from sattools.progress import Progress, silent
@@ -122,12 +122,19 @@ def match_sources(
     matched = match(frame, pairs, z_range, options, progress, finer=1 / options.detail)
     agreement = left_out_agreement(frame, matched.height)
     maps = {name: crop(array, fine.shape) for name, array in vars(matched).items() if isinstance(array, np.ndarray)}
+    height, cells, side = maps["height"], fine, maps.pop("side", None)
+    if side is not None:
+        height, cells = (
+            quarters(height, side),
+            replace(fine, cell_size=fine.cell_size / 2, width=2 * fine.width, height=2 * fine.height),
+        )
     resized: dict[str, Any] = {
         name: nearest_cells(array, fine, grid) if array.dtype == np.uint8 else resize_map(array, fine, grid)
         for name, array in maps.items()
     }
-    resized["height"] = means_of_cells(maps["height"], fine, grid, matched.blur, STEP_M * relief(fine.cell_size))
-    return replace(matched, **resized), views, pairs, agreement
+    out = OUTSTANDING * fine.cell_size / grid.cell_size
+    resized["height"] = means_of_cells(height, cells, grid, matched.blur, STEP_M * relief(fine.cell_size), out=out)
+    return replace(matched, **resized, side=None), views, pairs, agreement
 
 
 def crop(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

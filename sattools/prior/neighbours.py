@@ -17,7 +17,7 @@ PASSES = 2  # twice 1 2 1: as wide as means of cells of twice the size, interpol
 BLURRED_M = (30.0, 60.0)  # the same for cells that a wall divides
 FIRM = (0.4, 0.6)  # mean likeness to one side at walls: below the first they are anywhere, from the second on in place
 SHARP = (0.5, 0.6)  # that of all walls of an area from which on cells with a wall in them belong to one side
-OUTSTANDING = 0.14  # of a cell of the matching by which sharp walls stand too far out
+OUTSTANDING = 0.14  # of a cell of the matching by which sharp walls stand out
 SCALE_M = 20.0  # distance over which it is averaged
 REACH_SCALES = 4  # of its standard deviations, beyond which a cell does not count for a mean
 ALL_CELLS = 300.0  # walls all over the area that count as much as those around
@@ -142,13 +142,39 @@ def mean_of_neighbours(height: np.ndarray, doubt: np.ndarray | None = None, step
     return here
 
 
+def quarters(height: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """Heights ``[2 H, 2 W]`` of the quarters of every cell: what lies beyond a wall has the heights beyond it.
+
+    Args:
+        height: ``[H, W]`` float32 [m].
+        side: ``[H, W]`` > 0 on the high side of a wall, < 0 on the low one, linear between the centres of cells; NaN =
+            not beside a wall.
+    """
+    result = height.repeat(2, axis=0).repeat(2, axis=1)
+    around, heights = np.pad(side, 1, constant_values=np.nan), np.pad(height, 1)
+    rows, cols = height.shape
+    for down in (-1, 1):
+        for right in (-1, 1):
+            steps = ((down, 0), (0, right), (down, right))
+            parts = [(slice(1 + i, 1 + i + rows), slice(1 + j, 1 + j + cols)) for i, j in steps]
+            near = [np.where(np.isnan(around[part]), side, around[part]) for part in parts]
+            there = (9 * side + 3 * near[0] + 3 * near[1] + near[2]) / 16  # at the middle of the quarter
+            beyond = side * there < 0
+            other = [beyond & (side * value < 0) for value in near]
+            count = np.maximum(sum(part.astype(np.float32) for part in other), 1)
+            mean = sum(np.where(theirs, heights[part], 0) for theirs, part in zip(other, parts, strict=True)) / count
+            quarter = result[max(down, 0) :: 2, max(right, 0) :: 2]
+            quarter[beyond] = mean[beyond]
+    return result
+
+
 def means_of_cells(
-    height: np.ndarray, source: Grid, target: Grid, blur: float = 1.0, step_m: float = STEP_M
+    height: np.ndarray, source: Grid, target: Grid, blur: float = 1.0, step_m: float = STEP_M, *, out: float = 0.0
 ) -> np.ndarray:
     """Heights on coarser cells: where a step divides a cell, the mean of the side that has more of it.
 
-    Walls stand out by a part of a cell (`OUTSTANDING`), as windows that hold some of a roof go by the roof; so the high
-    side needs that much more. Where walls are blurred, nobody knows.
+    Walls stand out a little, as windows that hold some of a roof go by the roof; so the high side needs that much more
+    of a cell. Where walls are blurred, nobody knows.
 
     Args:
         height: ``[H, W]`` [m], without gaps.
@@ -156,6 +182,7 @@ def means_of_cells(
         target: one with the same upper left corner; its cells beyond the source continue the border.
         blur: how far a divided cell is the mean of all of it instead, 0 ... 1; less for the steps of towers.
         step_m: height range of a cell from which on it is divided [m].
+        out: by which sharp walls stand out, as share of a cell of the target.
 
     Returns:
         ``[h, w]`` float32.
@@ -175,7 +202,7 @@ def means_of_cells(
     share = (down[row][:, :, None] * across[col][:, None, :]).reshape(size)
     order = np.argsort(parts, axis=1)
     upto = np.cumsum(np.take_along_axis(share, order, axis=1), axis=1)
-    needed = upto[:, -1:] * (0.5 - (1 - blur) * OUTSTANDING / factor)
+    needed = upto[:, -1:] * (0.5 - (1 - blur) * out)
     middle = np.take_along_axis(order, (upto >= needed).argmax(axis=1)[:, None], axis=1)
     share *= np.abs(parts - np.take_along_axis(parts, middle, axis=1)) <= step_m
     side = (parts * share).sum(axis=1) / share.sum(axis=1)
@@ -192,4 +219,14 @@ def _covered(count: int, size: int, factor: float) -> tuple[np.ndarray, np.ndarr
     return np.minimum(cells, size - 1), np.clip(share, 0, 1)
 
 
-__all__ = ["STEP_M", "blurred_walls", "doubtful_walls", "mean_around", "mean_of_neighbours", "means_of_cells", "relief"]
+__all__ = [
+    "OUTSTANDING",
+    "STEP_M",
+    "blurred_walls",
+    "doubtful_walls",
+    "mean_around",
+    "mean_of_neighbours",
+    "means_of_cells",
+    "quarters",
+    "relief",
+]

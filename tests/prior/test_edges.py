@@ -247,6 +247,19 @@ def test_a_pixel_that_mixes_both_sides_belongs_to_the_one_it_has_more_of(roof: A
     assert (found[9, 14:26] == height).all()
 
 
+def test_cells_beside_a_wall_belong_to_a_side_and_others_to_none(roof: Any) -> None:
+    image, true = roof
+    frame = a_frame(image)
+    side = snap_edges(frame, unseen(frame), true, 2.0, NOISE).side
+    known = np.isfinite(side)
+    assert ((side[known] > 0) == (true[known] > 5)).all()
+    assert known[20, 7:13].all()
+    assert not known[20, 20]
+    assert not known[2].any()
+    flat = snap_edges(frame, unseen(frame), np.zeros_like(true), 2.0, NOISE).side
+    assert np.isnan(flat).all()
+
+
 def test_walls_that_show_one_side_or_the_other_divide_cells_sharply(roof: Any) -> None:
     image, true = roof
     frame = a_frame(image)

@@ -5,7 +5,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sattools.prior.neighbours import blurred_walls, doubtful_walls, mean_of_neighbours, means_of_cells, relief
+from sattools.prior.neighbours import (
+    blurred_walls,
+    doubtful_walls,
+    mean_of_neighbours,
+    means_of_cells,
+    quarters,
+    relief,
+)
 from sattools.scene import Grid
 from sattools.scene.regrid import resize_map
 
@@ -127,7 +134,9 @@ def test_half_of_a_cell_that_is_high_is_the_part_for_which_a_sharp_wall_stands_o
     # 0.0385 m may be the window's; where walls are blurred nobody knows (towers go by the larger side there, too)
     fine = np.where(np.arange(16) < 9, 1.0, 91.0).astype(np.float32)[None].repeat(16, axis=0)
     source, target = grid_of(0.275, 16, 16), grid_of(1.0, 4, 4)
-    np.testing.assert_allclose(means_of_cells(fine, source, target, blur)[0], [1, 1, third, 91])
+    found = means_of_cells(fine, source, target, blur, out=0.0385)
+    np.testing.assert_allclose(found[0], [1, 1, third, 91])
+    np.testing.assert_allclose(means_of_cells(fine, source, target, blur)[0], [1, 1, 91, 91])
 
 
 @pytest.mark.parametrize(("step", "third"), [(30.0, 18.0), (45.0, 36.0), (60.0, 60.0), (90.0, 90.0)])
@@ -153,9 +162,39 @@ def test_sides_are_those_of_plain_counting() -> None:
     for row, col in np.ndindex(20, 20):
         parts = halves[3 * row : 3 * row + 3, 3 * col : 3 * col + 3]
         high = parts > 4
-        # more than half of nine, and 0.14 of one of four for which sharp walls stand out
-        side = parts[high] if high.sum() > 5 else parts[~high]
+        side = parts[high] if high.sum() > 4 else parts[~high]
         assert found[row, col] == pytest.approx(side.mean(), abs=1e-5)
+
+
+def test_quarters_lie_on_the_side_of_the_wall_that_their_middle_is_on() -> None:
+    # between centres of +0.2 and -0.6 the wall is a quarter of a cell from the first: at the middle of its right half
+    # (a quarter of a cell from its centre) the line between them is 0
+    height = np.array([[9.0, 9.0, 1.0, 1.0]], np.float32).repeat(3, axis=0)
+    for low, quarter in ((-0.5, 9.0), (-0.7, 1.0)):
+        side = np.array([[0.9, 0.2, low, -0.9]], np.float32).repeat(3, axis=0)
+        found = quarters(height, side)
+        assert found.shape == (6, 8)
+        # quarters at the border have fewer neighbours to go by
+        assert (found[1:-1] == np.array([9, 9, 9, quarter, 1, 1, 1, 1], np.float32)).all()
+        assert (quarters(height.T, side.T) == found.T).all()
+        # the low side is as high as those beyond the wall where it is the one that gives way
+        other = quarters(height, -side[:, ::-1])
+        assert (other[1:-1] == np.array([9, 9, 9, 9, 10 - quarter, 1, 1, 1], np.float32)).all()
+
+
+def test_quarters_of_cells_away_from_walls_are_as_high_as_the_cells() -> None:
+    rough = np.random.default_rng(0).uniform(0, 9, (5, 7)).astype(np.float32)
+    side = np.full((5, 7), np.nan, np.float32)
+    np.testing.assert_array_equal(quarters(rough, side), rough.repeat(2, axis=0).repeat(2, axis=1))
+    side[2] = 0.01  # cells of one side, and none beside them to be told from
+    np.testing.assert_array_equal(quarters(rough, side), rough.repeat(2, axis=0).repeat(2, axis=1))
+
+
+def test_a_quarter_at_a_corner_has_the_mean_height_of_what_is_beyond() -> None:
+    height = np.array([[8.0, 2.0], [1.0, 0.0]], np.float32)
+    side = np.array([[0.1, -0.9], [-0.9, -0.9]], np.float32)
+    # (9 * 0.1 - 3 * 0.9 - 3 * 0.9 - 0.9) / 16 < 0; towards the border there is one neighbour, or none, to go by
+    np.testing.assert_array_equal(quarters(height, side)[:2, :2], [[8, 2], [1, 1]])
 
 
 @pytest.mark.parametrize(("likeness", "blur"), [(0.45, 1.0), (-0.55, 0.5), (0.7, 0.0)])

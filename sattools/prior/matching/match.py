@@ -66,6 +66,7 @@ class Match:
         consistent_views: ``[H, W]`` uint8 number of these whose rays have their best place there (see `minima`).
         blur: how far coarser cells that a wall divides are the mean of both sides (see `blurred_walls`).
         shares: per view, how much it counted (see `view_shares`).
+        side: ``[H, W]`` float32 which side of a wall the matching's own cells belong to, see `Snapped`; or None.
     """
 
     height: np.ndarray
@@ -75,6 +76,7 @@ class Match:
     consistent_views: np.ndarray
     blur: float = 1.0
     shares: tuple[float, ...] = ()
+    side: np.ndarray | None = None
 
 
 def margin_for(parallax: np.ndarray, z_ref: float, z_range: tuple[float, float], window: int) -> int:
@@ -143,12 +145,13 @@ def match(
         lowered = close_pits(task, visibility, lowered)
     height = lowered
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
-    doubt, blur = None, 1.0
+    doubt, blur, side = None, 1.0, None
     if task.options.edges and task.hills < 1:
-        height, doubt, blur = snap_edges(frame, hits, height, tolerance, task.options.edges, finer, few=not task.robust)
+        few = not task.robust
+        height, doubt, blur, side = snap_edges(frame, hits, height, tolerance, task.options.edges, finer, few=few)
     agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
     height = mean_of_neighbours(height, doubt, step_m=STEP_M * relief(frame.cell))
-    return Match(height, score, uniqueness, views, agreeing, blur, task.frame.shares)
+    return Match(height, score, uniqueness, views, agreeing, blur, task.frame.shares, side)
 
 
 def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], options: PriorOptions) -> MatchTask:

@@ -64,6 +64,23 @@ class Surroundings(NamedTuple):
         return Surroundings(near, reach, fall, look, high_fall, low_fall, *weights)
 
 
+class Snapped(NamedTuple):
+    """Heights with their steps where the images change.
+
+    Attributes:
+        height: ``[H, W]`` float32 [m].
+        doubt: ``[H, W]`` how doubtful the walls around are, see `doubtful_walls`.
+        blur: how blurred those of the whole area, see `blurred_walls`.
+        side: ``[H, W]`` float32 which side of a wall cells beside it belong to, 1 = surely high, -1 = surely low; the
+            wall is where it is 0 between their centres. NaN = not beside a wall.
+    """
+
+    height: np.ndarray
+    doubt: np.ndarray
+    blur: float
+    side: np.ndarray
+
+
 def snap_edges(
     frame: Frame,
     first_hit_height: np.ndarray,
@@ -73,7 +90,7 @@ def snap_edges(
     finer: float = 1.0,
     *,
     few: bool = False,
-) -> tuple[np.ndarray, np.ndarray, float]:
+) -> Snapped:
     """Move height steps to where the images change, and say how sure the images are of it.
 
     A window on the rim of a roof sees the roof's edge, which agrees in all views, and so matching makes everything
@@ -101,10 +118,6 @@ def snap_edges(
         noise: standard deviation of brightness on one material.
         finer: number of the frame's cells along a cell of the result.
         few: whether views are too few to be asked about lit ground by itself.
-
-    Returns:
-        ``[H, W]`` float32 heights [m]; ``[H, W]`` how doubtful the walls around are, see `doubtful_walls`; and how
-        blurred those of the whole area, see `blurred_walls`.
     """
     off_step = maximum_filter(height, 3, mode="nearest") - minimum_filter(height, 3, mode="nearest") < FLAT_M
     off_step = minimum_filter(off_step, 3, mode="nearest")
@@ -127,7 +140,7 @@ def snap_edges(
     doubt = doubtful_walls(roof, beside_wall, frame.cell)
     blur = blurred_walls(roof, beside_wall)
     if not beside_wall.any():
-        return median_filter(height, 3, mode="nearest"), doubt, blur
+        return Snapped(median_filter(height, 3, mode="nearest"), doubt, blur, np.full_like(height, np.nan))
     side = np.where(height >= 0.5 * (below + above), 1.0, -1.0)
     rims, scale = beside_wall & (side > 0) & (roof < RIM), FOOT_SCALE_M / frame.cell
     lean = leaning(rims, foot, scale, FOOT)
@@ -138,7 +151,8 @@ def snap_edges(
     high += lean * (_mean_within(high, beside_wall, 1.0) - high)
     moved = np.where(beside_wall & (side > 0) & (high <= 0), below, height)
     moved = np.where(beside_wall & (side < 0) & (high > 0), above, moved)
-    return median_filter(moved, 3, mode="nearest"), doubt, blur
+    sure = np.where(beside_wall, np.clip(high, -1, 1), np.nan).astype(np.float32)
+    return Snapped(median_filter(moved, 3, mode="nearest"), doubt, blur, sure)
 
 
 def _outward(tangent: np.ndarray) -> np.ndarray:
@@ -375,4 +389,4 @@ def compare_sides(
                 lit_foot[row, col] = at_lit_foot / lit_views
 
 
-__all__ = ["compare_sides", "leaning", "snap_edges"]
+__all__ = ["Snapped", "compare_sides", "leaning", "snap_edges"]
