@@ -273,10 +273,10 @@ def test_walls_are_moved_in_towns_alone(pairs: Any, walls: bool, monkeypatch: py
 
     asked = []
 
-    def moved(frame: Frame, hits: np.ndarray, height: np.ndarray, *_: Any, few: bool) -> tuple[np.ndarray, None, float]:
+    def moved(frame: Frame, hits: np.ndarray, height: np.ndarray, *_: Any, few: bool) -> tuple[Any, ...]:
         asked.append(height)
         assert few == (len(pairs) < 30)
-        return height, None, 1.0
+        return height, None, 1.0, None
 
     monkeypatch.setattr(module, "snap_edges", moved)
     slope = np.tile(0.1 * np.arange(60.0), (84, 1))  # 11 degrees on cells of half a metre
