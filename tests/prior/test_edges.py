@@ -7,7 +7,8 @@ import pytest
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from sattools.prior.frame import Frame
-from sattools.prior.visibility.edges import FOOT, LIT_FOOT, Surroundings, compare_sides, leaning, snap_edges
+from sattools.prior.visibility.edges import FOOT, LIT_FOOT, leaning, snap_edges
+from sattools.prior.visibility.sides import Surroundings, compare_sides
 
 NOISE = 0.04
 
@@ -217,17 +218,19 @@ def test_the_kernel_does_as_plain_numpy(roof: Any, around: Surroundings) -> None
     sure = minimum_filter(maximum_filter(height, 3) - minimum_filter(height, 3) < 1.5, 3)
     uphill = np.zeros((2, 40, 40), np.float32)
     uphill[0] = 1.0  # the northern wall
-    below, above, *likeness = (np.empty_like(height) for _ in range(5))
+    below, above, roof, told, foot, lit_foot = (np.empty_like(height) for _ in range(6))
     compare_sides(
         height, sure, uphill, frame.images, frame.masks, slopes, outward, sunlight, 0.0, margin, unseen(frame), 2.0,
-        NOISE, around, below, above, *likeness,
+        NOISE, around, below, above, roof, told, foot, lit_foot,
     )  # fmt: skip
     for row, col in ((9, 20), (10, 17), (8, 24), (11, 13)):
         expected = plain_sides(frame, height, outward, sunlight, np.array([1.0, 0.0]), row, col, around)
-        np.testing.assert_allclose([like[row, col] for like in likeness], expected, atol=1e-4)
+        np.testing.assert_allclose([like[row, col] for like in (roof, foot, lit_foot)], expected, atol=1e-4)
+        assert told[row, col] == 5
         assert (below[row, col], above[row, col]) == (0.0, 10.0)
     assert np.isnan(below[20, 20])
-    assert np.isnan([like[20, 20] for like in likeness[1:]]).all()
+    assert np.isnan([foot[20, 20], lit_foot[20, 20]]).all()
+    assert told[20, 20] == 0
 
 
 def test_distances_around_a_wall_stay_the_same_on_finer_cells() -> None:

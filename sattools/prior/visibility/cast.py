@@ -8,11 +8,21 @@ import numpy as np
 
 from sattools.compiled import njit, spread
 from sattools.prior.frame import Frame
-from sattools.prior.visibility.sides import FEWEST_VIEWS, OUTSIDE, SAME_M, STEP_M, Surroundings, bell, gather, likeness_of
+from sattools.prior.visibility.sides import (
+    FEWEST_VIEWS,
+    OUTSIDE,
+    SAME_M,
+    STEP_M,
+    Surroundings,
+    bell,
+    gather,
+    likeness_of,
+)
 
 STEEP = 0.05  # tangent of the angle from the vertical below which the sun throws no shadow beside a wall
 LANDED_M = 0.1  # change of height at which the place where a beam ends is known
 TRIES = 3  # steps along a beam until then
+NEARER = 0.5  # of the distance up to which the views look around a cell: light and shade are the same all along a wall
 
 
 def shadow_sides(
@@ -22,6 +32,7 @@ def shadow_sides(
     off_step: np.ndarray,
     uphill: np.ndarray,
     sides: tuple[np.ndarray, np.ndarray],
+    *,
     tolerance: float,
     noise: float,
     around: Surroundings,
@@ -53,6 +64,7 @@ def shadow_sides(
         if sun is not None and math.hypot(*sun[:2]) > STEEP * sun[2] > 0:
             beam[:] = sun[1] / sun[2] / frame.cell, -sun[0] / sun[2] / frame.cell
     if np.isfinite(beams).any():
+        around = around._replace(look=max(1, round(NEARER * around.look)))
         ground = np.pad(height, frame.margin, constant_values=np.nan)
         compare_shadows(
             ground, off_step, uphill, frame.images, frame.masks, frame.parallax, beams, frame.z_ref, frame.margin,
@@ -132,7 +144,7 @@ def compare_shadows(
                 if not way < -OUTSIDE * math.hypot(beams[v, 0], beams[v, 1]):
                     continue
                 r, c, z = _landing(ground, row + margin, col + margin, beams[v], bottom, top)
-                if not z == z:
+                if z != z:
                     continue
                 y, x = r + parallax[v, 0] * (z - z_ref), c + parallax[v, 1] * (z - z_ref)
                 a, b = round(y), round(x)

@@ -20,7 +20,7 @@ RIM = -0.2  # likeness to the high side below which a cell of it is a doubtful r
 FOOT = (-0.3, -0.1)
 LIT_FOOT = (-0.2, 0.0)  # the same in the views alone in which it is lit
 FOOT_SCALE_M = 20.0  # distance over which it is averaged
-OUTWARD = 0.65  # likeness by which walls that are not upright start outside the edge of their roof
+OUTWARD = 0.75  # likeness by which walls that are not upright start outside the edge of their roof
 SLOPE_SCALE = 2.0  # cells over which the direction of a wall is averaged
 STEEP = 0.05  # tangent of the angle from the vertical below which a view or a sun sees the foot of every wall
 
@@ -60,6 +60,8 @@ def snap_edges(
     the other, be it facade, shadow or ground far behind. So near a step every cell is asked whether it looks like the
     cells surely on the high side or like those surely on the low side, as this view shows either *at the roof's
     height*: all views can tell, whatever hides the ground.
+
+    The sun is one more view: where the shadow of the wall ends it shows the roof's edge once more, see `shadow_sides`.
 
     Where the matching has its step and where the likeness changes are two measurements of a wall, whose errors have
     little in common. So the further from the matching's step, the more likeness it takes to change sides: the wall
@@ -109,8 +111,9 @@ def snap_edges(
         np.minimum(lean, leaning(rims, lit_foot, scale, LIT_FOOT), out=lean)
     stay = PULL * np.clip(_depth(beside_wall, side, FAR * finer) / finer, -FAR, FAR)
     shown, shadows = shadow_sides(
-        frame, first_hit_height, height, off_step, uphill, (below, above), tolerance, noise, around
-    )
+        frame, first_hit_height, height, off_step, uphill, (below, above),
+        tolerance=tolerance, noise=noise, around=around,
+    )  # fmt: skip
     likeness = (roof * told + shown) / np.maximum(told + shadows, 1)
     high = likeness + (1 - lean) * stay + lean * side + OUTWARD * lean
     high += lean * (_mean_within(high, beside_wall, 1.0) - high)
@@ -166,7 +169,6 @@ def _mean_within(values: np.ndarray, region: np.ndarray, scale: float) -> np.nda
     """Gaussian mean over the cells of a region."""
     weight = gaussian_filter(region.astype(np.float64), scale)
     return gaussian_filter(np.where(region, values, 0.0), scale) / np.maximum(weight, 1e-6)
-
 
 
 __all__ = ["Snapped", "leaning", "snap_edges"]

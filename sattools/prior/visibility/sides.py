@@ -246,4 +246,14 @@ def compare_sides(
                 lit_foot[row, col] = at_lit_foot / lit_views
 
 
-__all__ = ["STEP_M", "Surroundings", "bell", "compare_sides", "gather", "likeness_of"]
+__all__ = [
+    "FEWEST_VIEWS",
+    "OUTSIDE",
+    "SAME_M",
+    "STEP_M",
+    "Surroundings",
+    "bell",
+    "compare_sides",
+    "gather",
+    "likeness_of",
+]
