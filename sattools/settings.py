@@ -26,7 +26,7 @@ def option(
     minimum: float | None = None,
     maximum: float | None = None,
     renamed: Mapping[str, str] | None = None,
-    path: Literal["file", "folder"] | None = None,
+    path: Literal["file", "folder", "new folder", "NAME=FILE"] | None = None,
 ) -> Any:
     """A dataclass field with its help text, unit included, and inclusive limits.
 
@@ -36,7 +36,7 @@ def option(
         minimum: smallest number allowed.
         maximum: largest number allowed.
         renamed: former names of choices -> present ones; the command line still takes them, with a warning.
-        path: what the text names, for shells that complete it.
+        path: what the text names, for shells that complete it; a file or folder has to be there, a new one not.
     """
     metadata = {"help": help, "minimum": minimum, "maximum": maximum, "renamed": dict(renamed or {}), "path": path}
     if isinstance(default, list | dict):
@@ -60,7 +60,7 @@ class OptionSpec:
         count: how many values it takes at once.
         renamed: former names of choices.
         words: what a number may be instead, such as ``auto``.
-        path: ``file`` or ``folder`` where the text names one.
+        path: ``file``, ``folder``, ``new folder`` (it need not be there) or ``NAME=FILE`` where the text names one.
 
     Numbers are finite, and no larger than `LARGEST` where nothing else is said.
     """

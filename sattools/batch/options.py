@@ -13,7 +13,9 @@ class BatchOptions:
     """What `batch` does; the field's help texts are the command's help."""
 
     out: str = option(
-        "batch", "Folder of the results: runs/CONFIGURATION/SCENE, table.csv, table.md, speed_error.png.", path="folder"
+        "batch",
+        "Folder of the results: runs/CONFIGURATION/SCENE, table.csv, table.md, speed_error.png.",
+        path="new folder",
     )
     dfc2019: str | None = option(
         None, "Root of the Data Fusion Contest 2019, track 3; its areas are named by --aoi.", path="folder"

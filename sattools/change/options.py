@@ -12,7 +12,7 @@ from sattools.settings import option
 class ChangeOptions:
     """How two surfaces are compared."""
 
-    out: str = option("change", "Folder for the maps, polygons and the table.", path="folder")
+    out: str = option("change", "Folder for the maps, polygons and the table.", path="new folder")
     register: Literal["ncc", "nuth-kaab", "z", "none"] = option(
         "ncc",
         "How the later surface is brought onto the earlier one: whole cells by correlation, below a cell by slopes, in "

@@ -93,8 +93,10 @@ class PathText(click.ParamType):
         return value or self.fail(UNNAMED, param, ctx)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """See `click.ParamType.shell_complete`: the shell itself lists files or folders."""
-        return [CompletionItem(incomplete, type="dir" if self.kind == "folder" else "file")]
+        """See `click.ParamType.shell_complete`: the shell itself lists files or folders, but not after NAME=."""
+        if self.kind == "NAME=FILE":
+            return []
+        return [CompletionItem(incomplete, type="dir" if self.kind.endswith("folder") else "file")]
 
 
 class NamedPath(click.Path):

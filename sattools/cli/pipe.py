@@ -11,7 +11,7 @@ import select
 import sys
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,12 +21,12 @@ import click
 from sattools.cli import interrupts
 from sattools.cli.commands import WORK
 from sattools.cli.documents import documents, parse
+from sattools.cli.inputs import check_inputs, check_inputs_before_waiting
 from sattools.cli.options import WHOLE_DOCUMENT, print_config
 from sattools.cli.safety import complain, quiet_stdout
 from sattools.cli.streams import portable
-from sattools.errors import InputError, MissingProductError, SattoolsError, SceneError, StaleError
+from sattools.errors import MissingProductError, SattoolsError, SceneError, StaleError
 from sattools.progress import Progress, make_progress
-from sattools.settings import specs
 
 if TYPE_CHECKING:  # the document pulls in numpy, which --help can do without
     from sattools.scene import Scene
@@ -98,6 +98,11 @@ def run_scenes(
         scene, entry = apply(run, before(scene) if before else scene, planned)
         return emit(scene, entry) if emit else _shown(scene, entry)
 
+    try:
+        check_inputs_before_waiting(run.options, scenes)
+    except SattoolsError as error:
+        report_error(run.command, error)
+        sys.exit(1)
     if not run.dry_run and (scenes or ("-",))[0] == "-":
         _import_meanwhile(run.command)
     each_scene(run.command, scenes, handle)
@@ -147,22 +152,6 @@ def is_watched() -> bool:
         return False
     mode = (root.obj or {}).get("progress")
     return mode == "bar" or (mode == "auto" and sys.stderr.isatty())
-
-
-def check_inputs(options: Any) -> None:
-    """Whether the files that options name are there, before any work and in a dry run; InputError where one is not.
-
-    Files on other machines and in archives are looked for when they are read.
-    """
-    from sattools.scene.location import is_remote
-
-    if not is_dataclass(options):
-        return
-    for spec in specs(type(options)):
-        given = (getattr(options, spec.name) or []) if spec.path == "file" else []
-        for name in given if isinstance(given, list) else [given]:
-            if not is_remote(name) and not Path(name).exists():
-                raise InputError(f"{name}: no such file, expected one for --{spec.name.replace('_', '-')}")
 
 
 def each_scene(command: str, scenes: tuple[str, ...], handle: Callable[[Scene], str]) -> None:

@@ -33,7 +33,9 @@ class CompareOptions:
         "Part to score: west, east, north, south or W,S,E,N in the reference's CRS (the scene's for one in degrees or "
         "feet).",
     )
-    map: list[str] = option([], "Parameter map to score, NAME=REFERENCE, NAME a product of the scene; repeatable.")
+    map: list[str] = option(
+        [], "Parameter map to score, NAME=REFERENCE, NAME a product of the scene; repeatable.", path="NAME=FILE"
+    )
     points: str | None = option(
         None,
         "Samples (CSV with name, x, y or lon, lat; GeoPackage) of reflectance_1 ..., theta or any product.",
@@ -51,7 +53,7 @@ class CompareOptions:
         "scene is read, and tables and figures of all go to --out.",
     )
     out: str | None = option(
-        None, "With --predicted: folder for the difference map; with --fit: for everything.", path="folder"
+        None, "With --predicted: folder for the difference map; with --fit: for everything.", path="new folder"
     )
 
     def __post_init__(self) -> None:

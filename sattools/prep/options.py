@@ -15,7 +15,7 @@ class PrepOptions:
     metadata: str | None = option(
         None, "Folder with metadata files named like the images (JSON, XML, RPB, RPC.TXT).", path="folder"
     )
-    out: str = option(".", "Folder in which the scene's own folder is made.", path="folder")
+    out: str = option(".", "Folder in which the scene's own folder is made.", path="new folder")
     id: str | None = option(None, "Name of the scene [default: what the image names have in common].")
     crs: str | None = option(None, "Ground CRS, projected in metres [default: UTM zone of the place].")
     cell_size: float | None = option(

@@ -20,7 +20,7 @@ class SimulateOptions:
     """Options of `sattools simulate`."""
 
     id: str = option("SIM_001", "Name of the scene.")
-    out: str = option(".", "Folder in which the scene's own folder is made.", path="folder")
+    out: str = option(".", "Folder in which the scene's own folder is made.", path="new folder")
     terrain: Literal["city", "downtown", "natural"] = option(
         "city",
         "What is built: city (streets, houses, courtyards, a tower), downtown (towers of 50 to 150 m, narrow streets, "

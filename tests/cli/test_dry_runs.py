@@ -110,7 +110,7 @@ def test_a_comparison(fitted: Path, make_town: Callable[[str], Scene], tmp_path:
     assert "found no DSM" in refused("compare", make_town("PLAIN").root / "scene.json")
     assert run("export", fitted).exit_code == 0
     for options, why in (
-        (["--map", "w=w.tif"], "found no product 'w'"),
+        (["--map", f"w={fitted}"], "found no product 'w'"),
         (["--map", "albedo=nowhere.tif"], "nowhere.tif: no such file, expected one for --map albedo"),
         (["--views"], "found no rendered view"),
         (["--region", "0 0 1 1"], "region: found no reference cell"),
@@ -176,7 +176,8 @@ def test_a_preparation(make_town: Callable[[], Scene], tmp_path: Path) -> None:
     assert "found id 'a town', expected 1-128 letters" in refused("prep", images, "--out", out, "--id", "a town")
     (tmp_path / "file").touch()
     assert "file: cannot be written to" in refused("prep", images, "--out", tmp_path / "file", "--id", "X")
-    assert "--colours: found no folder" in refused("prep", images, "--out", out, "--id", "X", "--colours", "nowhere")
+    why = refused("prep", images, "--out", out, "--id", "X", "--colours", "nowhere")
+    assert "nowhere: no such folder, expected one for --colours" in why
     assert not out.exists()
     (out / "X").mkdir(parents=True)
     (out / "X/scene.json").touch()

@@ -12,7 +12,6 @@ from sattools.cli.kinds import PathText
 
 # words of help texts that mean a file or folder is named; what else they may mean
 NAMED = re.compile(r"^(folder|root|vector file|reference dsm|dsm to score|class map|surface to take|samples)", re.I)
-NOT_A_FILE = {("compare", "map")}  # NAME=FILE
 
 
 def options() -> list[Any]:
@@ -24,7 +23,7 @@ def options() -> list[Any]:
 @pytest.mark.parametrize("command", list(COMMANDS))
 def test_options_that_name_paths_are_completed(command: str) -> None:
     for name, option in options():
-        if name == command and NAMED.match(option.help or "") and (name, option.name) not in NOT_A_FILE:
+        if name == command and NAMED.match(option.help or ""):
             assert isinstance(option.type, PathText | click.Path), f"{name} --{option.name}"
 
 
@@ -39,3 +38,8 @@ def test_the_shell_is_asked_for_files_or_folders(command: str, flag: str, kind: 
     (option,) = [o for name, o in options() if name == command and o.name == flag]
     (item,) = option.shell_complete(click.Context(main), "a/b")
     assert (item.value, item.type) == ("a/b", kind)
+
+
+def test_the_shell_is_asked_for_nothing_where_a_name_comes_first() -> None:
+    (option,) = [o for name, o in options() if (name, o.name) == ("compare", "map")]
+    assert option.shell_complete(click.Context(main), "w=a/b") == []
