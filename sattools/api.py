@@ -36,7 +36,7 @@ from sattools.scene.given import options_of
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.runner import Step, run_first, run_on
 from sattools.scene.schema import Flag, shown
-from sattools.settings import tell_without_effect
+from sattools.settings import specs, tell_without_effect
 from sattools.simulate.options import SimulateOptions
 
 SceneLike = Scene | str | PathLike[str]
@@ -184,9 +184,12 @@ def export(
         overwrite: replace outputs that are there.
         progress: see `prepare`.
     """
+    from sattools.export.options import without_effect
     from sattools.export.stage import export as stage
 
-    return _run(stage, "export", scene, options_of(ExportOptions, options), overwrite, progress)
+    own = options_of(ExportOptions, options)
+    tell_without_effect(without_effect(own, _given(options, own)))
+    return _run(stage, "export", scene, own, overwrite, progress)
 
 
 def compare(
@@ -207,6 +210,7 @@ def compare(
         overwrite: replace outputs that are there.
         progress: see `prepare`.
     """
+    from sattools.compare.options import without_effect
     from sattools.compare.stage import compare as stage
 
     own = options_of(CompareOptions, options)
@@ -214,6 +218,7 @@ def compare(
     if aside is not None:
         others = "`sattools.compare.compare_file` scores a file, `sattools.compare.evaluation.evaluate` several fits"
         raise InputError(f"compare: found option {aside!r} beside a scene, expected it without ({others})")
+    tell_without_effect(without_effect(own, _given(options, own)))
     step = Step("compare", own, overwrite, _progress(progress, "compare"))
     with by_a_program():
         return run_on(_scene(scene), step, lambda s, told: {"errors": stage(own, s, told, overwrite)})[0]
@@ -289,6 +294,18 @@ def _run(
     step = Step(command, options, overwrite, _progress(progress, command))
     with by_a_program():
         return run_on(_scene(scene), step, lambda s, told: stage(s, options, told, overwrite))[0]
+
+
+def _given(options: Any, own: Any) -> list[str]:
+    """Names of the options that a program gives: of a dataclass, in which all have values, those of another one.
+
+    Args:
+        options: as the program gives them.
+        own: the same as their dataclass.
+    """
+    if isinstance(options, Mapping):
+        return list(options)
+    return [spec.name for spec in specs(type(own)) if getattr(own, spec.name) != spec.default]
 
 
 def _paths(images: Any) -> list[str]:

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sattools.cli import plans
-from sattools.cli.options import build, common_options, dataclass_options, print_config, scene_argument, tell_idle
+from sattools.cli.options import build, common_options, dataclass_options, print_config, scene_argument, typed
 from sattools.cli.pipe import Run, apply, progress_of, report_error, run_scenes
-from sattools.compare.options import CompareOptions
+from sattools.compare.options import CompareOptions, without_effect
 from sattools.errors import OutputExistsError, SattoolsError
 from sattools.export.options import ExportOptions
 from sattools.progress import Progress
+from sattools.settings import tell_without_effect
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
@@ -35,8 +36,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     """
     options = build(CompareOptions, values)
     _check_usage(options, scenes)
-    tell_idle("aoi", bool(options.truth), "--truth beside it")
-    tell_idle("lpips_weights", options.views, "--views beside it")
+    tell_without_effect(without_effect(options, typed(values)))
     if options.predicted is not None:
         _compare_file(options, overwrite, dry_run, print_config)
         return

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sattools.cli import plans
-from sattools.cli.options import build, common_options, dataclass_options, scene_argument, tell_idle
+from sattools.cli.options import build, common_options, dataclass_options, scene_argument, typed
 from sattools.cli.pipe import Run, run_scenes
-from sattools.export.options import ExportOptions
+from sattools.export.options import ExportOptions, without_effect
 from sattools.progress import Progress
+from sattools.settings import tell_without_effect
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
     """Write the DSM, the albedo, shadow masks and a picture as cloud-optimised GeoTIFFs and PNG."""
     options = build(ExportOptions, values)
-    tell_idle("ground_width", "dtm" in options.wanted, "--products dtm beside it")
+    tell_without_effect(without_effect(options, typed(values)))
 
     def work(scene: Scene, progress: Progress) -> JsonObject:
         from sattools.export.stage import export

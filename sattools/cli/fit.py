@@ -10,7 +10,7 @@ import click
 
 from sattools.cli import interrupts
 from sattools.cli.help import GroupedCommand
-from sattools.cli.options import build, common_options, dataclass_options, scene_argument
+from sattools.cli.options import build, common_options, dataclass_options, scene_argument, typed
 from sattools.cli.pipe import Run, run_scenes
 from sattools.fit.options import FitOptions
 from sattools.progress import Progress
@@ -64,15 +64,6 @@ def _say_how_to_go_on(scene: Scene, options: FitOptions, began: float) -> None:
         log.warning("interrupted: `sattools fit --resume` with the same options goes on with the tiles that are there")
 
 
-def _tell_idle(options: FitOptions) -> None:
-    """One line for each option that was given on the command line and does nothing; a file may serve several fits."""
-    from sattools.fit.applicable import NEEDED, without_effect
-
-    context = click.get_current_context()
-    given = [name for name in NEEDED if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE]
-    tell_without_effect(without_effect(options, given))
-
-
 def _refuse_overlap(options: FitOptions, tile: float) -> None:
     """Raise BadParameter, unless no other overlap would help: the fit says what it is that does not go with tiles."""
     from sattools.fit.foresight import why_at_once
@@ -95,8 +86,10 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     Writes fit/model.safetensors and fit/trace.csv below the scene's root. A fit that was interrupted goes on with
     --resume and ends with the same surface as one that was not; without it, only --overwrite begins anew.
     """
+    from sattools.fit.applicable import without_effect
+
     options = build(FitOptions, {**values, **_preset(values["preset"], values["start"], values["field"])})
-    _tell_idle(options)
+    tell_without_effect(without_effect(options, typed(values)))
     if options.tile == "auto" and options.part != "all":
         raise click.BadParameter(f"found auto with --part {options.part}, expected metres", param_hint="--tile")
     if options.tile and options.tile != "auto" and 2 * options.overlap >= options.tile:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,7 +15,6 @@ from sattools.cli.kinds import Finite, NamedPath, check_value, kind_of
 from sattools.errors import InputError, SattoolsError
 from sattools.settings import OptionSpec, as_dict, specs
 
-log = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 WHOLE_DOCUMENT = "sattools.json"  # of click's `meta`: print scene documents on terminals too
@@ -114,17 +113,10 @@ def build(cls: type[T], values: dict[str, Any]) -> T:
         return cls(**{k: list(v) if fields[k].multiple else v for k, v in values.items() if k in fields})
 
 
-def tell_idle(name: str, met: bool, expected: str) -> None:
-    """One line for an option that was given on the command line and does nothing beside the others.
-
-    Args:
-        name: of the option, as its field.
-        met: whether what it needs is there.
-        expected: what it needs, in words.
-    """
-    source = click.get_current_context().get_parameter_source(name)
-    if not met and source is click.core.ParameterSource.COMMANDLINE:
-        log.warning("--%s does nothing here: expected %s", name.replace("_", "-"), expected)
+def typed(values: Iterable[str]) -> list[str]:
+    """Those of some options, by their fields, that were given on the command line; a file may serve several calls."""
+    context = click.get_current_context()
+    return [name for name in values if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE]
 
 
 def print_config(command: str, options: Any) -> None:
@@ -225,5 +217,5 @@ __all__ = [
     "read_toml",
     "run_options",
     "scene_argument",
-    "tell_idle",
+    "typed",
 ]

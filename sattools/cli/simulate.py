@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sattools.cli.options import build, common_options, dataclass_options
+from sattools.cli.options import build, common_options, dataclass_options, typed
 from sattools.cli.pipe import Run, run_source
 from sattools.cli.plans import of_simulate
 from sattools.progress import Progress
@@ -29,9 +29,7 @@ def command(overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -
     (its RPC tags carry --bias-px) and `--metadata` the folder `metadata`.
     """
     options = build(SimulateOptions, values)
-    context = click.get_current_context()
-    given = [name for name in values if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE]
-    tell_without_effect(without_effect(options, given).items())
+    tell_without_effect(without_effect(options, typed(values)).items())
 
     root = Path(options.out) / options.id
     inputs = tuple(Path(path) for path in (options.dsm, options.classes) if path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -89,6 +89,18 @@ def name_and_file(texts: Sequence[str], option: str) -> dict[str, Path]:
     return files
 
 
+def without_effect(options: CompareOptions, given: Iterable[str]) -> list[tuple[str, str]]:
+    """Those of some options that do nothing beside the others, each with what was expected.
+
+    Args:
+        options: of the comparison.
+        given: names of options that the user gave.
+    """
+    idle = {} if options.truth else {"aoi": "expected --truth beside it"}
+    idle |= {} if options.views else {"lpips_weights": "expected --views beside it"}
+    return [(name, idle[name]) for name in given if name in idle]
+
+
 def parse_region(text: str) -> str | tuple[float, float, float, float]:
     """A half, ``west`` and so on, or west, south, east, north. Raises InputError for another text."""
     if text in HALVES:
@@ -102,4 +114,4 @@ def parse_region(text: str) -> str | tuple[float, float, float, float]:
     return west, south, east, north
 
 
-__all__ = ["HALVES", "CompareOptions", "name_and_file", "parse_region"]
+__all__ = ["HALVES", "CompareOptions", "name_and_file", "parse_region", "without_effect"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -65,4 +66,15 @@ class ExportOptions:
         return parse_names(self.products, self.contours)
 
 
-__all__ = ["ExportOptions"]
+def without_effect(options: ExportOptions, given: Iterable[str]) -> list[tuple[str, str]]:
+    """Those of some options that do nothing beside the others, each with what was expected.
+
+    Args:
+        options: of the export.
+        given: names of options that the user gave.
+    """
+    idle = {} if "dtm" in options.wanted else {"ground_width": "expected --products dtm beside it"}
+    return [(name, idle[name]) for name in given if name in idle]
+
+
+__all__ = ["ExportOptions", "without_effect"]

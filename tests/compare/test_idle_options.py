@@ -1,4 +1,4 @@
-"""Options of `sattools compare` that do nothing beside the others are told, or refused where scores would be others."""
+"""Options of `compare` and `export` that do nothing beside others are told, or refused where scores would be others."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import sattools
 from sattools.cli import main
+from sattools.compare.options import CompareOptions
+from sattools.errors import SattoolsError
+from sattools.export.options import ExportOptions
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import write_cog
 
@@ -53,6 +57,32 @@ def test_a_tile_without_a_folder_and_weights_without_views_are_told(scene: Scene
     assert result.exit_code == 0, result.stderr
     assert "--aoi does nothing here: expected --truth beside it" in result.stderr
     assert "--lpips-weights does nothing here: expected --views beside it" in result.stderr
+
+
+@pytest.mark.parametrize("make", [dict, CompareOptions])
+def test_from_python_they_are_told_too(scene: Scene, make: Any, caplog: pytest.LogCaptureFixture) -> None:
+    sattools.compare(scene, make(aoi="JAX_068", lpips_weights=[str(scene.root / "dsm.tif")]))
+    assert "--aoi does nothing here: expected --truth beside it" in caplog.messages
+    assert "--lpips-weights does nothing here: expected --views beside it" in caplog.messages
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"ground_width": 60.0}, True),
+        (ExportOptions(ground_width=60.0), True),
+        ({"ground_width": 60.0, "products": "dtm"}, False),
+        (ExportOptions(), False),
+        (None, False),
+    ],
+    ids=str,
+)
+def test_a_width_of_buildings_without_bare_ground_is_told_from_python(
+    scene: Scene, options: Any, told: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    with pytest.raises(SattoolsError, match="model"):  # nothing is fitted
+        sattools.export(scene, options)
+    assert ("--ground-width does nothing here: expected --products dtm beside it" in caplog.messages) == told
 
 
 def test_a_scene_beside_others_to_score_is_refused(scene: Scene, tmp_path: Path) -> None:
