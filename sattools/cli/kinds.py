@@ -137,11 +137,17 @@ def check_value(option: click.Option, value: Any) -> None:
     if isinstance(option.type, FiniteOr) and value in option.type.words:
         return
     several = option.multiple or option.nargs != 1
+    if isinstance(option.type, click.types.StringParamType):  # a scale or a band, which is text on the command line
+        value = [_text(member) for member in value] if several and isinstance(value, list) else _text(value)
     try:
         many = Items(kind, option.nargs, option.nargs) if option.nargs > 1 else Items(kind)
         Maybe(many if several else kind).check(value, "value")
     except InputError as error:
         raise InputError(str(error).removeprefix("value: ")) from None
+
+
+def _text(value: Any) -> Any:
+    return str(value) if type(value) in (int, float) else value
 
 
 __all__ = ["Finite", "FiniteOr", "NamedPath", "PathText", "Renamed", "Whole", "check_value", "kind_of"]

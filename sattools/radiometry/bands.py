@@ -107,7 +107,7 @@ def eo_bands(platform: str | None, names: Sequence[str], chosen: Sequence[int]) 
     known = {band.common_name: band for band in own} | {band.name: band for band in own}
     entries: list[JsonObject] = []
     for number in chosen:
-        name = names[number - 1] if number <= len(names) else f"band {number}"
+        name = names[number - 1] if number <= len(names) else _unnamed(number)
         if (band := known.get(name) or known.get(name.casefold())) is not None:
             entries.append(band.to_dict())
         else:
@@ -155,24 +155,44 @@ def chosen_bands(item: Item, wanted: Sequence[str], count: int) -> list[int]:
     if len(said) != count:
         platform = item.properties.get("platform")
         said = eo_bands(platform, names_of(platform, count), range(1, count + 1))
+    own = item.properties.get("sattools:bands")
+    fewer = isinstance(own, int) and own > count and "radiance" in item.assets
+    more = f"; `sattools normalise --bands` has taken {count} of its {own}" if fewer else ""
+    return numbers_of(wanted, said, item.id, more)
+
+
+def numbers_of(wanted: Sequence[str], said: Sequence[JsonObject], image: str, more: str = "") -> list[int]:
+    """Numbers from 1 of the bands that are wanted, in that order.
+
+    Args:
+        wanted: as of `chosen_bands`.
+        said: `eo:bands` of all bands of the image, see `eo_bands`.
+        image: its id, for messages.
+        more: what else to say of a band that is not there.
+
+    Raises:
+        SceneError: a band that the image does not have, or one named twice.
+    """
+    count = len(said)
     numbers = {str(k + 1): k + 1 for k in range(count)}
     for kind in ("common_name", "name"):
         numbers |= {str(band[kind]).casefold(): k + 1 for k, band in enumerate(said) if band.get(kind)}
+    known = ", ".join(str(band["name"]) for k, band in enumerate(said) if band["name"] != _unnamed(k + 1))
+    names = f" or a name that {image} has ({known})" if known else f": {image} does not name its bands"
     chosen = []
     for word in wanted:
-        number = numbers.get(word.strip().casefold())
+        number = numbers.get(str(word).strip().casefold())
         if number is None:
-            known = ", ".join(str(band["name"]) for band in said)
-            own = item.properties.get("sattools:bands")
-            fewer = isinstance(own, int) and own > count and "radiance" in item.assets
-            more = f"; `sattools normalise --bands` has taken {count} of its {own}" if fewer else ""
-            raise SceneError(
-                f"--bands: found {word!r}, expected a number up to {count} or a name that {item.id} has ({known}){more}"
-            )
+            raise SceneError(f"--bands: found {word!r}, expected a number up to {count}{names}{more}")
         chosen.append(number)
     if len(set(chosen)) < len(chosen):
-        raise SceneError(f"--bands: found bands {chosen} of {item.id}, expected each of them once")
+        raise SceneError(f"--bands: found bands {chosen} of {image}, expected each of them once")
     return chosen
+
+
+def _unnamed(number: int) -> str:
+    """The name of a band that has none."""
+    return f"band {number}"
 
 
 __all__ = [
@@ -186,5 +206,6 @@ __all__ = [
     "eo_bands",
     "named_bands",
     "names_of",
+    "numbers_of",
     "red_green_blue",
 ]

@@ -24,8 +24,10 @@ class NormaliseOptions:
     saturation: float | None = option(
         None, "Digital number from which a pixel is saturated (default: 2^bits - 1).", minimum=0
     )
-    bands: list[int] = option(
-        [], "Band to take, from 1 (repeatable, in order; default: 5 3 2 = RGB of eight WorldView bands, else all)."
+    bands: list[str] = option(
+        [],
+        "Band to take, by its number from 1 or its name (repeatable, in order; default: 5 3 2 = RGB of eight "
+        "WorldView bands, else all).",
     )
     quantity: Literal["auto", "toa_reflectance", "reflectance_factor", "radiance", "relative"] = option(
         "auto",

@@ -13,7 +13,7 @@ from sattools.camera.rpc import RPC
 from sattools.errors import SceneError, counted, some_of
 from sattools.progress import Progress, silent
 from sattools.radiometry.atmosphere import HAZY, Air, air_of, check_air, hazy
-from sattools.radiometry.bands import eo_bands, red_green_blue
+from sattools.radiometry.bands import eo_bands, numbers_of, red_green_blue
 from sattools.radiometry.histogram import histogram_figure
 from sattools.radiometry.kind import ImageScale, choose_quantity, contradictions, image_scales
 from sattools.radiometry.linear import (
@@ -115,10 +115,8 @@ def normalise(
 
 def check_start(scene: Scene, options: NormaliseOptions, overwrite: bool = True) -> None:
     """What `normalise` looks at before its work, for a dry run; arguments and errors as of it, `scene` is changed."""
-    job, hrefs, _ = _started(scene, options)
+    _, hrefs, _ = _started(scene, options)
     may_begin(scene, "normalise", hrefs, overwrite)
-    for item in _images(scene):
-        _bands(scene, item, image_part(scene, item).bands, job.options)
 
 
 def _images(scene: Scene) -> list[Item]:
@@ -130,8 +128,6 @@ def _started(scene: Scene, options: NormaliseOptions) -> tuple[_Job, list[str], 
     items = _images(scene)
     if not items:
         raise SceneError(f"scene {scene.id}: found no item with an asset 'image', expected images to normalise")
-    if len(set(options.bands)) < len(options.bands):
-        raise SceneError(f"--bands: found {options.bands}, expected each of them once")
     notes = contradictions(scene, items, options)
     scales = image_scales(scene, items, options)
     quantity = choose_quantity(scene, scales, options, notes)
@@ -143,6 +139,7 @@ def _started(scene: Scene, options: NormaliseOptions) -> tuple[_Job, list[str], 
     job = _Job(scene, options, quantity, scales, bits, alike=darker)
     for item in items:
         _check_black(job, item)
+        _bands(item, image_part(scene, item).bands, options, scales[item.id])
     return job, [FIGURE, *(f"radiance/{item.id}.tif" for item in items)], notes
 
 
@@ -151,7 +148,7 @@ class _Blocks:
 
     def __init__(self, job: _Job, item: Item, part: ImagePart) -> None:
         self.job, self.item, self.part = job, item, part
-        self.chosen = _bands(job.scene, item, part.bands, job.options)
+        self.chosen = _bands(item, part.bands, job.options, job.scales[item.id])
         self.saturation = _saturation(job, item)
         picture = bool(job.options.bits) or not without_bits(item.properties)
         self.tone_mapped = picture and job.bits[item.id] <= 8 and job.scales[item.id].reflectance is None
@@ -355,18 +352,14 @@ def _bits(items: list[Item], options: NormaliseOptions) -> tuple[dict[str, int],
     return bits_of, notes
 
 
-def _bands(scene: Scene, item: Item, count: int, options: NormaliseOptions) -> list[int]:
+def _bands(item: Item, count: int, options: NormaliseOptions, scale: ImageScale) -> list[int]:
+    """Numbers from 1 of the bands to take from an image of so many; its scale tells their names."""
     chosen = options.bands
     if not chosen:
         eight = count == 8 and item.properties.get("platform") in EIGHT_BAND_PLATFORMS
         named = red_green_blue(item.assets["image"].extra.get("eo:bands") or [])
         return (named or RGB_OF_EIGHT) if eight else list(range(1, count + 1))
-    wrong = [b for b in chosen if not 1 <= b <= count]
-    if wrong:
-        raise SceneError(
-            f"scene {scene.id}: item {item.id} has {counted(count, 'bands')}, expected --bands within them: {wrong}"
-        )
-    return chosen
+    return numbers_of(chosen, eo_bands(item.properties.get("platform"), scale.names, range(1, count + 1)), item.id)
 
 
 __all__ = ["RGB_OF_EIGHT", "check_start", "normalise"]

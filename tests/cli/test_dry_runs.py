@@ -214,7 +214,7 @@ def test_what_a_simulation_takes_is_that_of_its_images(make_town: Callable[[], S
 def test_a_normalisation(make_town: Callable[[], Scene]) -> None:
     document = make_town().root / "scene.json"
     for options, why in (
-        (["--bands", "9"], "expected --bands within them: [9]"),
+        (["--bands", "9"], "--bands: found '9', expected a number up to 3"),
         (["--black", "70000"], "--black: found 70000"),
         (["--quantity", "radiance"], "radiance was asked for, but of TOWN_001 no metadata"),
     ):

@@ -83,6 +83,15 @@ def test_a_wrong_file_is_a_usage_error(tmp_path: Path, text: Any, words: Any) ->
     assert result.stdout == ""
 
 
+@pytest.mark.parametrize("bands", ["[5, 3, 2]", "['5', '3', '2']"])
+def test_numbers_of_a_file_are_taken_where_an_option_takes_words_as_well(tmp_path: Path, bands: str) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text(f"bands = {bands}\n")
+    for command in ("normalise", "fit"):
+        result = run(command, "--config", str(path), "--print-config")
+        assert tomllib.loads(result.stdout)[command]["bands"] == ["5", "3", "2"]
+
+
 def test_a_missing_file_is_a_usage_error(tmp_path: Path) -> None:
     result = run("fit", "--config", str(tmp_path / "none.toml"))
     assert result.exit_code == 2

@@ -141,7 +141,7 @@ def test_a_gamma_that_is_for_other_images_is_told(tmp_path: Path) -> None:
         ({"offset": 0.5}, "--offset: found it without --scale"),
         ({"saturation": 0.0}, "--saturation: found 0, expected more than 0, the number of no light"),
         ({"saturation": 90.0, "black": 100.0}, "--saturation: found 90, expected more than 100"),
-        ({"bands": [2, 1, 2]}, "--bands: found [2, 1, 2], expected each of them once"),
+        ({"bands": ["2", "1", "2"]}, "--bands: found bands [2, 1, 2] of i0, expected each of them once"),
     ],
 )
 def test_a_declaration_that_cannot_be_meant_stops_with_one_line(
@@ -226,7 +226,7 @@ def test_a_stac_item_may_state_the_scale_of_all_bands_once(tmp_path: Path) -> No
 def test_so_does_a_geotiff_with_scales(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, two_bands(), scales=[1e-4, 2e-4], platform=None)
     assert normalise(scene, NormaliseOptions())["quantity"] == "relative"
-    normalise(scene, NormaliseOptions(quantity="reflectance_factor", saturated="keep", bands=[2]))
+    normalise(scene, NormaliseOptions(quantity="reflectance_factor", saturated="keep", bands=["2"]))
     np.testing.assert_allclose(values(scene)[:, 0], [0.4], atol=1e-6)
 
 

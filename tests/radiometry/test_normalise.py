@@ -89,7 +89,7 @@ def test_white_of_a_tone_mapped_image_is_kept_and_masked_when_asked(make_scene: 
 
 def test_masked_saturated_pixels_are_noted_as_they_would_have_become_radiance(make_scene: Any) -> None:
     scene = make_scene(numbers(0, 100, 700, 900, bands=3))  # third band: 0, 300, 2100, 2700
-    normalise(scene, NormaliseOptions(black=47, bands=[3, 1]))
+    normalise(scene, NormaliseOptions(black=47, bands=["3", "1"]))
     item = scene.items[0]
     noted = item.assets["radiance"].extra["sattools:saturated"]
     assert noted["bands"] == [3, 1]
@@ -170,10 +170,29 @@ def test_red_green_and_blue_of_eight_worldview_bands(make_scene: Any) -> None:
     told = "i0: bands 5, 3, 2 of 8 are taken, red, green and blue (others: --bands)"
     assert told in normalise(scene, NormaliseOptions())["notes"]
     assert result(scene)[:, 0] * 2047 == pytest.approx([50, 30, 20])
-    assert not [note for note in normalise(scene, NormaliseOptions(bands=[7, 1]))["notes"] if "taken" in note]
+    assert not [note for note in normalise(scene, NormaliseOptions(bands=["7", "1"]))["notes"] if "taken" in note]
     assert result(scene)[:, 0] * 2047 == pytest.approx([70, 10])
-    with pytest.raises(SceneError, match=r"item i0 has 8 bands.*\[9\]"):
-        normalise(scene, NormaliseOptions(bands=[9]))
+    with pytest.raises(SceneError, match=r"found '9', expected a number up to 8 or a name that i0 has \(C, B, .*\)$"):
+        normalise(scene, NormaliseOptions(bands=["9"]))
+
+
+def test_bands_are_taken_by_their_names(make_scene: Any) -> None:
+    scene = make_scene(numbers(10, 20, bands=8))
+    normalise(scene, NormaliseOptions(bands=["nir08", "Red", "b", "1"]))
+    assert result(scene)[:, 0] * 2047 == pytest.approx([70, 50, 20, 10])
+    with pytest.raises(SceneError, match=r"^--bands: found bands \[5, 5\] of i0, expected each of them once$"):
+        normalise(scene, NormaliseOptions(bands=["red", "5"]))
+
+
+def test_bands_are_taken_by_the_names_that_a_file_has_for_them(make_scene: Any) -> None:
+    scene = make_scene(numbers(10, 20, bands=3), platform=None)
+    with pytest.raises(SceneError) as error:  # which are numbers alone
+        normalise(scene, NormaliseOptions(bands=["nir"]))
+    assert str(error.value) == "--bands: found 'nir', expected a number up to 3: i0 does not name its bands"
+    assert not (scene.root / "radiance").exists()
+    scene.items[0].assets["image"].extra["eo:bands"] = [{"name": "red"}, {"name": "NIR"}, {"name": "swir"}]
+    normalise(scene, NormaliseOptions(bands=["nir", "RED"]))
+    assert result(scene)[:, 0] * 2047 == pytest.approx([20, 10])
 
 
 def test_reflectance_from_the_calibration_of_a_worldview_image(make_scene: Any, tmp_path: Path) -> None:
