@@ -42,6 +42,7 @@ RGB_OF_EIGHT = [5, 3, 2]
 EIGHT_BAND_PLATFORMS = ("WorldView-2", "WorldView-3", None)  # None: eight bands are WorldView's unless somebody says so
 SAMPLE = 20000  # pixels per image and band in the histogram
 TOLD = 4_000_000  # pixels that tell an image's middle and spread for --match, and its darkest
+MOST_BRIGHT = 1.0  # percent of reflectances above 1 that nothing is said of: glints, walls that face a low sun
 LABELS = {
     "toa_reflectance": "reflectance at the top of the atmosphere, pi L / (E cos sun zenith)",
     "reflectance_factor": "reflectance factor, pi L / E",
@@ -159,7 +160,7 @@ class _Blocks:
         height, width = part.shape
         self._places = np.divmod(job.rng.integers(height * width, size=min(SAMPLE, height * width)), width)
         self.numbers, self.radiance = (np.full((len(self.chosen), len(self._places[0])), np.nan) for _ in range(2))
-        self.counts = dict.fromkeys(("pixels", "no_data", "saturated", "known", "below_0", "above_1"), 0)
+        self.counts = dict.fromkeys(("pixels", "no_data", "saturated", "known", "below_0", "above_1", "bright"), 0)
 
     def _values(self, rows: slice, cols: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Digital numbers and radiance ``[C, h, w]``, and where there are no data or too much light ``[h, w]``."""
@@ -231,7 +232,9 @@ class _Blocks:
         here = (slice(None), row[own] - rows.start, col[own] - cols.start)
         self.numbers[:, own], self.radiance[:, own] = bands[here], radiance[here]
         known = np.isfinite(radiance)
-        counted = (empty.size, empty.sum(), full.sum(), known.sum(), (radiance < 0).sum(), (radiance > 1).sum())
+        above = radiance > 1
+        bright = (above & ~full).sum()  # a glint that is kept says nothing of the scale
+        counted = (empty.size, empty.sum(), full.sum(), known.sum(), (radiance < 0).sum(), above.sum(), bright)
         for name, count in zip(self.counts, counted, strict=True):
             self.counts[name] += int(count)
         return radiance
@@ -302,8 +305,12 @@ def _doubts(job: _Job, item: Item, shares: dict[str, float], blocks: _Blocks) ->
     """What of the result may not be meant."""
     saturation, what = blocks.saturation, "masked: no radiance there" if blocks.masks else "kept"
     percent, found = {name: 100 * share for name, share in shares.items()}, []
-    if job.scales[item.id].reflectance is not None and percent["above_1"] > 50:
-        found.append(f"{percent['above_1']:.0f} % of the pixels have a reflectance above 1 (is the scale right?)")
+    bright = 100 * blocks.counts["bright"] / max(blocks.counts["known"], 1)
+    if job.quantity != "relative" and not job.options.match and bright > MOST_BRIGHT:
+        declared = job.scales[item.id].declared is not None
+        right = "is the scale right?" if declared else "are gains and offsets of the metadata right?"
+        right += "" if bright > 50 else " Clouds, snow and walls in a low sun may have that"
+        found.append(f"{bright:.0f} % of the pixels have a reflectance above 1 ({right})")
     if percent["below_0"] > 50 and not job.options.match:
         found.append(f"{percent['below_0']:.0f} % of the pixels are below 0 (are --black and --offset right?)")
     if percent["saturated"] > 5:

@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -94,6 +95,33 @@ def test_a_scale_that_makes_everything_brighter_than_white_is_noticed(tmp_path: 
     scene = make_scene(tmp_path, two_bands())
     notes = normalise(scene, NormaliseOptions(quantity="toa_reflectance", scale="1/100"))["notes"]
     assert any("reflectance above 1 (is the scale right?)" in text for text in notes)
+
+
+def told_of_bright(notes: list[str]) -> list[str]:
+    return [text for text in notes if "a reflectance above 1" in text]
+
+
+@pytest.mark.parametrize(("count", "told"), [(10, False), (11, True)])
+def test_reflectances_above_1_of_more_than_a_hundredth_are_noticed(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, count: int, told: bool
+) -> None:
+    array = np.full((1, 25, 40), 4000, np.uint16)  # 1000 pixels
+    array.flat[:count] = 10001
+    scene = make_scene(tmp_path, array)
+    notes = normalise(scene, NormaliseOptions(quantity="toa_reflectance", scale="1/10000"))["notes"]
+    why = "is the scale right? Clouds, snow and walls in a low sun may have that"
+    expected = [f"i0: 1 % of the pixels have a reflectance above 1 ({why})"] if told else []
+    assert told_of_bright(notes) == told_of_bright(caplog.messages) == expected
+
+
+@pytest.mark.parametrize("saturated", ["mask", "keep"])
+def test_glints_that_saturate_say_nothing_of_the_scale(tmp_path: Path, saturated: Literal["mask", "keep"]) -> None:
+    array = np.full((1, 25, 40), 4000, np.uint16)
+    array.flat[:100] = 65535
+    options = NormaliseOptions(quantity="toa_reflectance", scale="1/10000", saturated=saturated)
+    found = normalise(make_scene(tmp_path, array), options)
+    assert found["images"]["i0"]["above_1"] == (0.1 if saturated == "keep" else 0)
+    assert told_of_bright(found["notes"]) == []
 
 
 def test_an_offset_that_makes_ground_darker_than_black_is_noticed(tmp_path: Path) -> None:
