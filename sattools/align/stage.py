@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -172,13 +174,24 @@ def _check(shift: Shift, reference: Path, options: AlignOptions) -> None:
         )
 
 
+@contextmanager
+def _named(reference: Path) -> Iterator[None]:
+    """Errors inside, of arrays and points that have no name, begin with that of their file."""
+    try:
+        yield
+    except (InputError, SceneError) as wrong:
+        said = str(wrong).removeprefix("reference: ")
+        raise InputError(said if said.startswith(f"{reference}:") else f"{reference}: {said}") from None
+
+
 def _shift(scene: Scene, reference: Path, options: AlignOptions, progress: Progress) -> tuple[Shift, JsonObject]:
     """The shift, and what else there is to say of it: residuals of control points, a warning about datums."""
     grid = scene.require_grid()
     if holds_points(reference):
         cameras = {i.id: RPC.from_file(scene.path(i.assets["rpc"].href)) for i in scene.items if "rpc" in i.assets}
         points = read_control_points(reference, grid.crs)
-        shift = shift_to_points(points, cameras, grid.crs)
+        with _named(reference):
+            shift = shift_to_points(points, cameras, grid.crs)
         before = point_residuals(points, cameras, grid.crs)
         after = point_residuals(points, cameras, grid.crs, np.array([shift.east, shift.north, shift.up]))
         residuals = [
@@ -198,11 +211,8 @@ def _shift(scene: Scene, reference: Path, options: AlignOptions, progress: Progr
     if text is not None:
         log.warning("%s: %s", scene.id, text)
     files = SurfaceFiles(dsm, _product(scene, "validity"), _product(scene, "dsm_error95"))
-    try:
+    with _named(reference):
         shift, method = shift_to_raster(files, reference, options, progress)
-    except (InputError, SceneError) as wrong:
-        said = str(wrong)
-        raise InputError(said if said.startswith(f"{reference}:") else f"{reference}: {said}") from None
     notes = [] if text is None else [text]
     if shift.left > UNLIKE:
         notes.append(

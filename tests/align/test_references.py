@@ -9,8 +9,11 @@ import rasterio
 from affine import Affine
 from align_ground import CRS, GRID
 
+from sattools.align.options import AlignOptions
 from sattools.align.reference import check_reference, heights_around
+from sattools.align.stage import align
 from sattools.errors import InputError
+from sattools.scene import Scene
 from sattools.scene.grid import Grid
 from sattools.scene.raster import write_cog
 from sattools.scene.regrid import reproject_map
@@ -63,3 +66,20 @@ def test_turned_rasters_are_taken_as_they_lie(tmp_path: Path, turn: Any, to: Any
     known = np.isfinite(there)
     assert known.mean() > 0.9
     np.testing.assert_allclose(there[known], heights[known], atol=0.05)
+
+
+def test_what_is_wrong_with_a_reference_names_its_file_once(tmp_path: Path) -> None:
+    """It was `FILE: reference: found ...`, and of control points no file at all."""
+    scene = Scene("PLACE", tmp_path, grid=GRID, products={"dsm": "dsm.tif"})
+    heights = np.random.default_rng(0).uniform(0.0, 40.0, GRID.shape).astype(np.float32)
+    write_cog(scene.output("dsm.tif"), heights, GRID)
+    write_cog(tmp_path / "dem.tif", heights, GRID)
+    with pytest.raises(InputError) as refused:
+        align(scene, AlignOptions(to=str(tmp_path / "dem.tif"), method="means"))
+    cells = f"found cells of {GRID.cell_size:g} m, expected {2 * GRID.cell_size:g} m or more for --method means"
+    assert str(refused.value) == f"{tmp_path / 'dem.tif'}: {cells}; icp is for smaller ones"
+    (tmp_path / "points.csv").write_text("name,x,y,z,item,column,row\ncorner,436001,3355002,3,NOBODY,4,5\n")
+    with pytest.raises(InputError) as refused:
+        align(scene, AlignOptions(to=str(tmp_path / "points.csv")))
+    said = f"{tmp_path / 'points.csv'}: control point: found image 'NOBODY', expected one of "
+    assert str(refused.value) == said
