@@ -31,7 +31,8 @@ from sattools.batch.table import Row, failed_row, write_tables
 from sattools.errors import InputError, SattoolsError, SceneError
 from sattools.progress import Progress, silent
 from sattools.scene.document import Scene, check_id
-from sattools.scene.files import check_outputs, locked, make_folder, remove_orphans, write_text
+from sattools.scene.files import check_outputs, locked, remove_orphans, write_text
+from sattools.scene.folders import make_folder
 from sattools.scene.jsonio import JsonObject
 
 log = logging.getLogger(__name__)

@@ -22,7 +22,8 @@ from sattools.progress import Progress, silent
 from sattools.scene import Grid
 from sattools.scene.cog import CogWriter
 from sattools.scene.datums import difference as datums_differ
-from sattools.scene.files import all_or_nothing, check_outputs, make_folder, remove, write_bytes, write_text
+from sattools.scene.files import all_or_nothing, check_outputs, remove, write_bytes, write_text
+from sattools.scene.folders import make_folder, without_empty_folders
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import heights_above
 from sattools.scene.stored import pieces
@@ -33,6 +34,7 @@ HEIGHT, SIGNIFICANCE, ALBEDO = "height_change.tif", "significance.tif", "albedo_
 POLYGONS, PICTURE, TABLE = "changes.gpkg", "height_change.png", "change.json"
 
 
+@without_empty_folders()
 def change(
     before: str, after: str, options: ChangeOptions, progress: Progress = silent, overwrite: bool = False
 ) -> JsonObject:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sattools.errors import InputError, SceneError, counted
-from sattools.scene.files import make_folder
+from sattools.scene.folders import make_folder
 from sattools.scene.globe import box_of_all
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject, parse_json, read_text

@@ -24,6 +24,7 @@ from typing import Any
 
 from sattools import system
 from sattools.errors import SattoolsError
+from sattools.scene.folders import make_folder, without_empty_folders
 from sattools.scene.outputs import check_outputs
 
 log = logging.getLogger(__name__)
@@ -32,7 +33,6 @@ _PIECE = 1 << 20
 _WHOLE = 256 << 20  # bytes up to which a digest is that of the whole file
 _SAMPLES = 128
 _temporary: set[Path] = set()  # of this process, for the case that an interrupt keeps a cleaning from its work
-_folders: list[tuple[int, Path]] = []  # made by the process of this number, parents first
 # temporary file and its name to be; no temporary one: what has this name goes
 _Waiting = list[tuple[Path | None, Path]]
 _held_back: contextvars.ContextVar[_Waiting | None] = contextvars.ContextVar("held_back", default=None)
@@ -120,17 +120,6 @@ def _beside(path: Path) -> Path:
     return path.with_name(f".{path.name}.{_host()}-{os.getpid()}-{os.urandom(3).hex()}{_MARK}")
 
 
-def make_folder(folder: Path) -> None:
-    """Make a folder, and those above it, for files to come; if none comes, it goes when the process ends.
-
-    Raises:
-        OSError: it cannot be made.
-    """
-    missing = [one for one in (folder, *folder.parents) if not one.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
-    _folders.extend((os.getpid(), one) for one in reversed(missing))
-
-
 def _made(temporary: Path, path: Path, write: Callable[[Path], None], check: Callable[[Path], None]) -> None:
     """A new file, synced and checked; what libraries say of a full disk is an OSError."""
     from sattools.scene.gdal import ERRORS, quiet_libtiff, why_not_written
@@ -164,13 +153,20 @@ def write_figure(path: Path, figure: Any, **options: Any) -> None:
 def all_or_nothing(inputs: Iterable[Path] | None = None, overwrite: bool = False) -> Iterator[None]:
     """Files that are written inside get their names together at the end, or none of them does.
 
-    Inside they cannot be read yet. Blocks within blocks stand for themselves. Threads take part where they run in a
-    copy of the context (`contextvars.copy_context`).
+    Folders that were made for them and stay empty are removed. Inside the files cannot be read yet. Blocks within
+    blocks stand for themselves. Threads take part where they run in a copy of the context
+    (`contextvars.copy_context`).
 
     Args:
         inputs: where given, all files are checked at the end by `check_outputs` with these.
         overwrite: for that check.
     """
+    with without_empty_folders(), _held_back_until_the_end(inputs, overwrite):
+        yield
+
+
+@contextmanager
+def _held_back_until_the_end(inputs: Iterable[Path] | None, overwrite: bool) -> Iterator[None]:
     waiting: _Waiting = []
     token = _held_back.set(waiting)
     try:
@@ -297,10 +293,6 @@ def _discard_all() -> None:
         if f"-{os.getpid()}-" in temporary.name:  # not what a forked child knows of its parent's
             with suppress(OSError):
                 _discard(temporary)
-    for maker, folder in reversed(_folders):  # only now: a thread may be about to write into a folder that is empty
-        if maker == os.getpid():
-            with suppress(OSError):
-                folder.rmdir()  # refused unless nothing has come into it
 
 
 def _remove_orphans(path: Path) -> bool:
@@ -344,7 +336,6 @@ __all__ = [
     "digest",
     "immediately",
     "locked",
-    "make_folder",
     "remove",
     "remove_orphans",
     "scratch",
