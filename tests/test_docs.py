@@ -20,3 +20,11 @@ def test_links_between_pages_lead_to_files(page: Any) -> None:
     ]
     missing = [link for link in files if "://" not in link and not (page.parent / link).exists()]
     assert missing == []
+
+
+def test_every_benchmark_that_can_be_run_is_named_on_a_page() -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    scripts = [p for p in sorted((ROOT / "benchmarks").glob("*.py")) if "__main__" in p.read_text(encoding="utf-8")]
+    assert len(scripts) > 40
+    # `threads.py` in a sentence about another one counts, `paper_threads.py` does not
+    assert [p.name for p in scripts if not re.search(rf"\b{re.escape(p.name)}", text)] == []
