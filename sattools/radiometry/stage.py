@@ -43,6 +43,8 @@ EIGHT_BAND_PLATFORMS = ("WorldView-2", "WorldView-3", None)  # None: eight bands
 SAMPLE = 20000  # pixels per image and band in the histogram
 TOLD = 4_000_000  # pixels that tell an image's middle and spread for --match, and its darkest
 MOST_BRIGHT = 1.0  # percent of reflectances above 1 that nothing is said of: glints, walls that face a low sun
+NO_AIR = "--atmosphere takes nothing off: found no value in pixels at even distances, expected some that tell the air"
+BLANK = "without data? (--bands takes others; --atmosphere has nothing to go by there)"
 LABELS = {
     "toa_reflectance": "reflectance at the top of the atmosphere, pi L / (E cos sun zenith)",
     "reflectance_factor": "reflectance factor, pi L / E",
@@ -203,6 +205,11 @@ class _Blocks:
         self._air = air_of(self.item, self._told(), self.job.quantity, self.job.options)
         return self._air
 
+    def blank(self) -> list[str]:
+        """Bands, from 1, that are 0 in all pixels of the histogram, of which others show something."""
+        none = ~(np.nan_to_num(self.numbers) != 0).any(axis=1)
+        return [] if none.all() else [str(band) for band, is_blank in zip(self.chosen, none, strict=True) if is_blank]
+
     def match(self) -> list[int]:
         """Bring the image to the first one's middle and spread, which pixels at even distances tell.
 
@@ -251,8 +258,12 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
     part = image_part(job.scene, item)
     blocks = _Blocks(job, item, part)
     item.properties.pop("sattools:atmosphere", None)
-    if options.atmosphere != "none" and (air := blocks.look_through_air()) is not None:
-        job.air[item.id] = item.properties["sattools:atmosphere"] = air.to_dict()
+    if options.atmosphere != "none":
+        air = blocks.look_through_air()
+        if air is not None:
+            job.air[item.id] = item.properties["sattools:atmosphere"] = air.to_dict()
+        else:
+            job.alike.setdefault(NO_AIR, []).append(item.id)
     if options.match and (flat := blocks.match()):
         job.flat.setdefault(", ".join(map(str, flat)), []).append(item.id)
     if not options.bands and len(blocks.chosen) < part.bands:
@@ -281,6 +292,8 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
         job.alike.setdefault("--gamma is for 8-bit images, not applied", []).append(item.id)
     if job.quantity != "relative" and options.atmosphere == "none" and hazy(blocks.radiance):
         job.alike.setdefault(HAZY, []).append(item.id)
+    if blank := blocks.blank():
+        job.alike.setdefault(f"band {', '.join(blank)} is 0 throughout: {BLANK}", []).append(item.id)
     job.numbers.append(list(blocks.numbers))
     job.radiance.append(list(blocks.radiance))
     if not blocks.counts["known"]:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from sattools.camera.ground import direction
 from sattools.errors import SceneError
+from sattools.radiometry import stage
 from sattools.radiometry.atmosphere import HAZY, darkest, rayleigh_transmittance
 from sattools.radiometry.options import NormaliseOptions
 from sattools.radiometry.stage import check_start, normalise
@@ -56,6 +57,34 @@ def test_images_without_anything_dark_are_told_of_in_one_line(make_scene: Any) -
     assert normalise(scene, DECLARED)["notes"] == [f"i0, i2: {HAZY}"]
     assert HAZY.startswith("the darkest thousandth has a reflectance above 0.03")
     assert normalise(scene, NormaliseOptions(**vars(DECLARED) | {"atmosphere": "dark-object"}))["notes"] == []
+
+
+def test_a_band_without_data_is_told(make_scene: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """Nothing can be taken off it, and black ground in one colour is nobody's."""
+    whole = as_numbers(ground(np.random.default_rng(0)) + 0.05)
+    broken = whole.copy()
+    broken[1] = 0
+    broken[:, :5] = 0  # a frame, of which all images may have one
+    scene = make_scene(broken, whole)
+    found = normalise(scene, NormaliseOptions(**vars(DECLARED) | {"atmosphere": "dark-object"}))
+    assert found["atmosphere"]["i0"]["path"] == pytest.approx([0.05, 0.0, 0.05], abs=1e-4)
+    told = "i0: band 2 is 0 throughout: without data? (--bands takes others; --atmosphere has nothing to go by there)"
+    assert [text for text in found["notes"] if "is 0 throughout" in text] == [told]
+    assert told in caplog.messages
+
+
+def test_an_image_that_keeps_its_air_as_nothing_tells_it_is_told(
+    make_scene: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of large images pixels at even distances tell it, here two of the first row, which has no data."""
+    monkeypatch.setattr(stage, "TOLD", 1)
+    whole = as_numbers(ground(np.random.default_rng(0)))
+    framed = whole.copy()
+    framed[:, 0] = 0
+    found = normalise(make_scene(framed, whole), NormaliseOptions(**vars(DECLARED) | {"atmosphere": "dark-object"}))
+    assert list(found["atmosphere"]) == ["i1"]
+    expected = "found no value in pixels at even distances, expected some that tell the air"
+    assert f"i0: --atmosphere takes nothing off: {expected}" in found["notes"]
 
 
 def test_the_share_of_dark_ground_is_in_the_unit_of_the_images(make_scene: Any) -> None:
