@@ -64,6 +64,7 @@ class _Job:
     reference: np.ndarray | None = None  # [2, C] middle and spread of the first image, for --match
     air: JsonObject = field(default_factory=dict)  # per image, for the history
     flat: dict[str, list[str]] = field(default_factory=dict)  # bands without a gain for --match -> images
+    bright: dict[str, dict[str, float]] = field(default_factory=dict)  # what to ask -> images, percent above 1
     alike: dict[str, list[str]] = field(default_factory=dict)  # notes that images may share -> images
     numbers: list[list[np.ndarray]] = field(default_factory=list)
     radiance: list[list[np.ndarray]] = field(default_factory=list)
@@ -308,6 +309,9 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
 def _shared(job: _Job) -> list[str]:
     """Notes that many images may have, in one line each."""
     notes = [f"{some_of(ids)}: {text}" for text, ids in job.alike.items()]
+    for right, found in job.bright.items():
+        share = f"{'up to ' if len(found) > 1 else ''}{max(found.values()):.0f} %"
+        notes.append(f"{some_of(list(found))}: {share} of the pixels have a reflectance above 1 ({right})")
     if job.flat:
         where = "; ".join(f"{some_of(ids)}: band {bands}" for bands, ids in job.flat.items())
         notes.append(f"{where}: most pixels here or in the first image are one number, no gain is known")
@@ -323,7 +327,7 @@ def _doubts(job: _Job, item: Item, shares: dict[str, float], blocks: _Blocks) ->
         declared = job.scales[item.id].declared is not None
         right = "is the scale right?" if declared else "are gains and offsets of the metadata right?"
         right += "" if bright > 50 else " Clouds, snow and walls in a low sun may have that"
-        found.append(f"{bright:.0f} % of the pixels have a reflectance above 1 ({right})")
+        job.bright.setdefault(right, {})[item.id] = bright
     if percent["below_0"] > 50 and not job.options.match:
         found.append(f"{percent['below_0']:.0f} % of the pixels are below 0 (are --black and --offset right?)")
     if percent["saturated"] > 5:

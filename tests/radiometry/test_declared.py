@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -112,6 +113,17 @@ def test_reflectances_above_1_of_more_than_a_hundredth_are_noticed(
     why = "is the scale right? Clouds, snow and walls in a low sun may have that"
     expected = [f"i0: 1 % of the pixels have a reflectance above 1 ({why})"] if told else []
     assert told_of_bright(notes) == told_of_bright(caplog.messages) == expected
+
+
+def test_images_that_are_too_bright_alike_are_told_of_in_one_line(tmp_path: Path) -> None:
+    array = np.full((1, 25, 40), 4000, np.uint16)
+    array.flat[:30] = 10001
+    scene = make_scene(tmp_path, array)
+    one = scene.items[0]
+    scene.items.append(replace(one, id="i1", properties=dict(one.properties), assets=dict(one.assets)))
+    notes = normalise(scene, NormaliseOptions(quantity="toa_reflectance", scale="1/10000"))["notes"]
+    (told,) = told_of_bright(notes)
+    assert told.startswith("i0, i1: up to 3 % of the pixels have a reflectance above 1 (is the scale right?")
 
 
 @pytest.mark.parametrize("saturated", ["mask", "keep"])
