@@ -135,9 +135,9 @@ def check_start(scene: Scene, options: AlignOptions, overwrite: bool = False) ->
 def _begun(scene: Scene, options: AlignOptions, overwrite: bool) -> tuple[dict[tuple[str | None, str], Move], str]:
     """The maps that will move and the folder of the moved ones, once all is checked that needs no work."""
     if options.to is None:
-        raise InputError("align: found no --to, expected a raster of heights or ground control points")
+        raise InputError("found no --to, expected a raster of heights or ground control points")
     if options.tilt and options.method in ("nuth-kaab", "z"):
-        raise InputError(f"align: found --tilt with --method {options.method}, expected --method means or icp")
+        raise InputError(f"found --tilt with --method {options.method}, expected --method means or icp")
     reference = location(options.to)
     check_reference(reference, scene.require_grid().crs)
     if holds_points(reference):

@@ -87,11 +87,11 @@ def read_truth(
     """
     crs = scene.grid.crs if crs is None and scene and scene.grid else crs
     if options.truth and options.dsm:
-        raise InputError("compare: found both --truth and --dsm, expected one of them")
+        raise InputError("found both --truth and --dsm, expected one of them")
     if options.truth:
         aoi = options.aoi or (scene.id if scene else None)
         if aoi is None:
-            raise InputError("compare: found --truth without a scene, expected --aoi NAME as well")
+            raise InputError("found --truth without a scene, expected --aoi NAME as well")
         truth = read_dfc2019(options.truth, aoi)
     elif options.dsm:
         truth = open_reference(options.dsm, options.classes, folder, crs)
@@ -100,7 +100,8 @@ def read_truth(
         own = scene.path(classes) if classes else None
         truth = open_reference(scene.path(scene.products["truth_dsm"]), own, folder)
     else:
-        raise InputError("compare: found no reference, expected --truth DIR or --dsm FILE")
+        of = f"scene {scene.id}: " if scene else ""
+        raise InputError(f"{of}found no reference, expected --truth DIR or --dsm FILE")
     return truth.within(options.region) if options.region else truth
 
 

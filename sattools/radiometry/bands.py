@@ -183,7 +183,8 @@ def numbers_of(wanted: Sequence[str], said: Sequence[JsonObject], image: str, mo
     for word in wanted:
         number = numbers.get(str(word).strip().casefold())
         if number is None:
-            raise SceneError(f"--bands: found {word!r}, expected a number up to {count}{names}{more}")
+            several = " (each in a --bands of its own)" if "," in str(word) else ""
+            raise SceneError(f"--bands: found {word!r}, expected a number up to {count}{names}{several}{more}")
         chosen.append(number)
     if len(set(chosen)) < len(chosen):
         raise SceneError(f"--bands: found bands {chosen} of {image}, expected each of them once")

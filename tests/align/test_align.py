@@ -372,7 +372,7 @@ def test_a_shift_that_is_too_large_is_refused(exported: Scene, tmp_path: Path) -
     assert "vertical datums" in result.stderr
     result = run("align", "--to", reference, "--tilt", "--method", "z", exported.output("scene.json"))
     assert result.exit_code == 1
-    assert "found --tilt with --method z, expected --method means or icp" in result.stderr
+    assert "align: error: found --tilt with --method z, expected --method means or icp" in result.stderr
 
 
 def test_a_missing_reference_is_told_before_work_and_in_a_dry_run(exported: Scene, tmp_path: Path) -> None:

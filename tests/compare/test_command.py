@@ -73,6 +73,13 @@ def test_missing_reference_is_one_line_and_exit_code_1(scene: Any) -> None:
     assert result.stdout == ""
 
 
+def test_a_scene_without_a_reference_is_named_once(scene: Any) -> None:
+    del scene.products["truth_dsm"]
+    result = CliRunner().invoke(main, ["compare"], input=scene.to_json() + "\n")
+    expected = "scene SIM_1: found no reference, expected --truth DIR or --dsm FILE"
+    assert (result.exit_code, result.stderr) == (1, f"sattools compare: error: {expected}\n")
+
+
 def test_a_folder_for_results_is_wrong_usage_where_the_scene_has_its_own(scene: Any, tmp_path: Path) -> None:
     arguments = ["compare", str(scene.root / "scene.json"), "--out", str(tmp_path / "elsewhere")]
     result = CliRunner().invoke(main, arguments)

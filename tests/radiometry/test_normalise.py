@@ -180,6 +180,8 @@ def test_bands_are_taken_by_their_names(make_scene: Any) -> None:
     scene = make_scene(numbers(10, 20, bands=8))
     normalise(scene, NormaliseOptions(bands=["nir08", "Red", "b", "1"]))
     assert result(scene)[:, 0] * 2047 == pytest.approx([70, 50, 20, 10])
+    with pytest.raises(SceneError, match=r"--bands: found '5,3,2', .* \(each in a --bands of its own\)$"):
+        normalise(scene, NormaliseOptions(bands=["5,3,2"]))
     with pytest.raises(SceneError, match=r"^--bands: found bands \[5, 5\] of i0, expected each of them once$"):
         normalise(scene, NormaliseOptions(bands=["red", "5"]))
 
