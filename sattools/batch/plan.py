@@ -109,8 +109,8 @@ class Digests:
         except InputError:
             self.known = {}
 
-    def __call__(self, path: Path) -> str:
-        """SHA-256 of a file, read again only where its size or time has changed."""
+    def __call__(self, path: Path, what: str = "a file of the scene") -> str:
+        """SHA-256 of a file, read again only where its size or time has changed; what it is, for messages."""
         try:
             state = path.stat()
             name, stamp = str(path.resolve()), [state.st_size, state.st_mtime_ns]
@@ -118,7 +118,7 @@ class Digests:
                 with open(path, "rb") as file:
                     self.known[name] = [*stamp, hashlib.file_digest(file, "sha256").hexdigest()]
         except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror}), expected a file of the scene") from error
+            raise InputError(f"{path}: cannot be read ({error.strerror}), expected {what}") from error
         return str(self.known[name][2])
 
     def save(self) -> None:
@@ -166,9 +166,9 @@ def run_task(
     commands = _run_commands(configuration, scene, truth)
     references = sorted(reference_files(configuration, truth, scene))
     wanted = {name: table for name, table in configuration.resolved.items() if name != "prep"}
-    key = _key_of(
-        "run", content, wanted, sorted(configuration.tables), commands, [digests(path) for path in references]
-    )
+    what = f"a file that [compare] or [align] of {configuration.name} names"
+    known = [digests(path, what) for path in references]
+    key = _key_of("run", content, wanted, sorted(configuration.tables), commands, known)
     folder = out / "runs" / check_id(configuration.name, "configuration") / check_id(scene, "scene")
     name = f"{scene}/{configuration.name}"
     config = toml_of(configuration, COMMANDS)  # `prep`'s, too, which is part of what a row of the table is of

@@ -65,3 +65,15 @@ def test_a_configuration_of_values_that_go_together_is_taken(make_town: Any, tmp
         found = configuration(tmp_path / "c.toml")
     assert found.tables["fit"] == {"preset": "satnerf", "tile": 200, "dry-run": False}
     assert found.resolved["export"]["products"] == ("laz,dtm", "mesh")
+
+
+def test_a_file_that_a_configuration_names_and_that_is_missing_is_told_as_one_of_it(
+    make_town: Any, tmp_path: Path
+) -> None:
+    """It was called one of the scene."""
+    (tmp_path / "c.toml").write_text(f'[compare]\nmap = ["albedo={tmp_path}/no.tif"]\n')
+    given = ["batch", "--config", str(tmp_path / "c.toml"), "--out", str(tmp_path / "out"), "--dry-run"]
+    result = CliRunner().invoke(main, given, input=make_town("A").to_json())
+    assert result.exit_code == 1
+    found = "no.tif: cannot be read (No such file or directory), expected a file that [compare] or [align] of c names"
+    assert found in result.stderr
