@@ -46,6 +46,16 @@ class Frame:
         """The shares ``[V]`` float32."""
         return np.array(self.shares or (1.0,) * len(self.images), np.float32)
 
+    @property
+    def light(self) -> np.ndarray:
+        """(row, column) cells ``[V, 2]`` float64 by which the light of each sun moves as it falls by a metre.
+
+        NaN = the sun is unknown, or not above the horizon.
+        """
+        unknown = (np.nan, np.nan, np.nan)
+        east, north, up = np.array([unknown if sun is None else sun for sun in self.suns]).T
+        return np.stack([north, -east], axis=1) / np.where(up > 0, up, np.nan)[:, None] / self.cell
+
     def halved(self) -> Frame:
         """The same with cells of twice the size; margin, rows and columns must be even."""
         images, masks = self.images[:, ::2] + self.images[:, 1::2], np.minimum(self.masks[:, ::2], self.masks[:, 1::2])

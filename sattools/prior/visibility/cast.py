@@ -59,10 +59,8 @@ def shadow_sides(
         both 0 where fewer than two tell.
     """
     like, views = np.zeros_like(height), np.zeros_like(height)
-    beams = np.full((len(frame.suns), 2), np.nan)
-    for beam, sun in zip(beams, frame.suns, strict=True):
-        if sun is not None and math.hypot(*sun[:2]) > STEEP * sun[2] > 0:
-            beam[:] = sun[1] / sun[2] / frame.cell, -sun[0] / sun[2] / frame.cell
+    beams = frame.light
+    beams[~(np.hypot(*beams.T) * frame.cell > STEEP)] = np.nan
     if np.isfinite(beams).any():
         around = around._replace(look=max(1, round(NEARER * around.look)))
         ground = np.pad(height, frame.margin, constant_values=np.nan)

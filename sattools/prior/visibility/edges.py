@@ -90,9 +90,7 @@ def snap_edges(
     uphill /= np.maximum(np.hypot(*uphill), 1e-6)
     # on its way up to the view a ray moves against the parallax, and to the sun against its light
     outward = _outward(frame.parallax * frame.cell)
-    unknown = (np.nan, np.nan, 1.0)
-    suns = np.array([unknown if sun is None else sun for sun in frame.suns])
-    sunlight = _outward(np.stack([suns[:, 1], -suns[:, 0]], axis=1) / np.maximum(suns[:, 2:], STEEP))
+    sunlight = _outward(frame.light * frame.cell)
     below, above, roof, told, foot, lit_foot = (np.empty_like(height) for _ in range(6))
     around = Surroundings().times(finer)
     compare_sides(
