@@ -2,11 +2,13 @@
 
 import logging
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 from forked import program, server
+from pictures import undrawn
 from towns import copied, matched
 
 from sattools.cli import set_threads
@@ -28,6 +30,13 @@ LONG = (
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the tests of long files first, which `make test` hands out in this order."""
     items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Fixtures, of a module and of the session too, draw only for tests that are marked `drawn`."""
+    with nullcontext() if item.get_closest_marker("drawn") else undrawn():
+        return (yield)
 
 
 @pytest.fixture(scope="session")
@@ -115,19 +124,6 @@ def make_hamlet(hamlet_source: Scene, tmp_path: Path) -> Callable[..., Scene]:
 def make_matched_hamlet(matched_hamlet_source: Scene, tmp_path: Path) -> Callable[..., Scene]:
     """Makes copies of the small scene with its prior below `tmp_path`."""
     return lambda name="HAMLET": copied(matched_hamlet_source, tmp_path / name)
-
-
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures of one pixel, for what does not depend on them: drawing one takes a third of a second."""
-    import io
-
-    from matplotlib.figure import Figure
-    from PIL import Image
-
-    stream = io.BytesIO()
-    Image.new("RGB", (1, 1)).save(stream, "png")
-    monkeypatch.setattr(Figure, "savefig", lambda figure, file, **options: file.write(stream.getvalue()))
 
 
 @pytest.fixture(autouse=True)

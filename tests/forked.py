@@ -11,7 +11,7 @@ import signal
 import socket
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 PASSED_ON = (signal.SIGINT, signal.SIGTERM)
@@ -101,6 +101,7 @@ def keep(asking: socket.socket) -> None:
 def become(asked: dict, streams: list[int]) -> None:
     """Be the process that was asked for, as far as it can be told from one that Python has just started."""
     import torch
+    from pictures import UNDRAWN, undrawn
 
     from sattools.system import end_with_parent
 
@@ -116,12 +117,18 @@ def become(asked: dict, streams: list[int]) -> None:
     os.environ.update(asked["environment"])
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
     sys.argv[1:] = asked["arguments"]
-    if asked["module"] == "sattools":
+    with undrawn() if UNDRAWN in os.environ else nullcontext():
+        begin(asked["module"])
+
+
+def begin(module: str) -> None:
+    """Do what `python -m` would do."""
+    if module == "sattools":
         from sattools.cli import entry
 
         entry()
     else:
-        sys.modules[asked["module"]].__dict__["main"]()
+        sys.modules[module].__dict__["main"]()
 
 
 def ask(address: str, module: str, *arguments: str) -> None:

@@ -17,8 +17,6 @@ from click.testing import CliRunner
 
 from sattools.cli import main
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 
 def run(*arguments: object) -> None:
     result = CliRunner().invoke(main, ["--quiet", *map(str, arguments)])

@@ -21,8 +21,6 @@ from sattools.fit.options import FitOptions
 from sattools.fit.presets import PRESETS, resolve
 from sattools.reflectance import hapke, lambert, rpv
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 QUICK = {"resolution": 2.0, "coarsest": 2.0, "epochs": [2], "prior_weight": 0.0}
 HEAVY = ("torch", "numba", "rasterio", "numpy", "scipy", "matplotlib", "geopandas", "cv2")
 

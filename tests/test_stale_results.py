@@ -13,8 +13,6 @@ from hypothesis import strategies as st
 
 from sattools.cli import main
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 FIT = ("--resolution", "2", "--coarsest", "2", "--epochs", "2")
 CHOICES = {
     "normalise": [(), ("--black", "40")],

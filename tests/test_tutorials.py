@@ -115,6 +115,7 @@ def test_qgis_without_a_window_makes_the_same(
         assert file.res == (1.0, 1.0)
 
 
+@pytest.mark.drawn
 def test_the_notebook_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("xarray")
     import matplotlib

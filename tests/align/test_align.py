@@ -116,7 +116,7 @@ def exported_source(town_source: Scene, tmp_path_factory: pytest.TempPathFactory
 
 
 @pytest.fixture
-def exported(exported_source: Scene, undrawn: None, tmp_path: Path) -> Scene:
+def exported(exported_source: Scene, tmp_path: Path) -> Scene:
     return copied(exported_source, tmp_path / "TOWN")
 
 

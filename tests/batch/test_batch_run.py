@@ -60,6 +60,7 @@ def attempts(folder: Path, scene: str) -> list[dict]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
+@pytest.mark.drawn
 def test_a_lost_worker_costs_its_task_only_and_finished_work_is_not_done_again(folder: Any) -> None:
     call = ("A/scene.json", "B/scene.json", "--config", "quick.toml", "--out", "out", "--workers", "1")
     running = start(folder, *call)
@@ -206,7 +207,6 @@ def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(fol
     )
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_scenes_are_aligned_and_joined(folder: Any, caplog: pytest.LogCaptureFixture) -> None:
     """Both scenes show the same area; B is brought onto a reference that stands 3 m higher, and so is A."""
     from sattools.scene.raster import read_raster, write_cog

@@ -161,6 +161,7 @@ def test_what_only_one_date_has_counts_alone(tmp_path: Path) -> None:
     assert register_dates(*pair, "none", tmp_path).together("std", np.maximum) is None
 
 
+@pytest.mark.drawn
 def test_the_command_writes_maps_polygons_and_a_table(tmp_path: Path) -> None:
     old = saved(tmp_path / "old.tif", city(1))
     wider = Grid(crs=CRS, left=435990.0, top=3355090.0, cell_size=1.0, width=SIZE + 20, height=SIZE + 20)

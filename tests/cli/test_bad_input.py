@@ -19,8 +19,6 @@ from sattools.cli import main
 from sattools.runlog import NAME
 from sattools.scene import Scene
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 QUICK = ["--resolution", "2", "--coarsest", "2", "--epochs", "2"]
 
 

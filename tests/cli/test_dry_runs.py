@@ -13,8 +13,6 @@ from click.testing import CliRunner
 from sattools.cli import main
 from sattools.scene import Scene
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 QUICK = ["--resolution", "2", "--epochs", "1"]
 
 

@@ -15,7 +15,6 @@ from click.testing import CliRunner
 from sattools.cli import main
 from sattools.scene import Scene
 
-pytestmark = pytest.mark.usefixtures("undrawn")
 QUICK = ["--resolution", "2", "--coarsest", "2", "--epochs", "1"]
 PRIOR = ["prior", "--resolution", "2", "--rough-passes", "0"]
 

@@ -20,7 +20,6 @@ from sattools.runlog import NAME
 from sattools.scene import Scene
 from sattools.scene.dependencies import stale
 
-pytestmark = pytest.mark.usefixtures("undrawn")
 QUICK = ["--resolution", "2", "--coarsest", "2", "--epochs", "2", "--prior-weight", "0"]
 
 

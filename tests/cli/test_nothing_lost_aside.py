@@ -18,8 +18,6 @@ from sattools.scene.files import locked, write_text
 from sattools.scene.raster import read_raster, write_cog
 from sattools.scene.runner import Step, run_first
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 
 def run(*arguments: Any, text: str | None = None) -> Any:
     return CliRunner().invoke(main, ["--threads", "1", *map(str, arguments)], input=text)

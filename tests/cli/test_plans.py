@@ -14,8 +14,6 @@ from sattools.prep.stage import check_inputs, prepare
 from sattools.processors import cores, takes
 from sattools.scene import Grid, Scene
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 AREA = "0.0041 km2, 16384 cells, 6 images"
 
 

@@ -104,6 +104,7 @@ def evaluation(evaluated: Any, tmp_path: Path) -> Path:
     return Path(shutil.copytree(evaluated[0], tmp_path / "eval"))
 
 
+@pytest.mark.drawn
 def test_tables_and_figures_of_all_fits(evaluated: Any) -> None:
     folder, result, before, after = evaluated
     assert result.exit_code == 0, result.output
@@ -137,7 +138,6 @@ def test_tables_and_figures_of_all_fits(evaluated: Any) -> None:
     assert after == before  # scenes are only read
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_fit_that_claims_no_c_has_no_figures_of_it(tmp_path: Path) -> None:
     arguments = [*inputs(tmp_path), "--out", str(tmp_path / "eval"), "--points", str(tmp_path / "points.csv")]
     write_cog(tmp_path / "a/export/c.tif", image((np.nan,)), GRID)
@@ -150,7 +150,6 @@ def test_a_fit_that_claims_no_c_has_no_figures_of_it(tmp_path: Path) -> None:
     assert [row["nrmse"] for row in rows if (row["fit"], row["map"]) == ("Hpk", "c")] == [""]
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_point_of_which_nothing_is_known_is_told(call: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "points.csv").write_text("name,x,y,w_1\nmeadow,500010.5,5000010.5,\nelsewhere,14.9,45.1,\n")
     result = call("--points", str(tmp_path / "points.csv"))
@@ -159,7 +158,6 @@ def test_a_point_of_which_nothing_is_known_is_told(call: Any, tmp_path: Path, ca
     assert "meadow" not in caplog.text  # it has those of the reference maps
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_second_call_replaces_nothing_unasked(call: Any) -> None:
     assert call().exit_code == 0
     again = call()
@@ -168,7 +166,6 @@ def test_a_second_call_replaces_nothing_unasked(call: Any) -> None:
     assert call("--overwrite").exit_code == 0
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_the_report_shows_it(evaluation: Path) -> None:
     result = CliRunner().invoke(main, ["report", str(evaluation)])
     assert result.exit_code == 0, result.output
@@ -213,7 +210,6 @@ def test_wrong_use(call: Any, more: list[str], code: int, message: str) -> None:
     assert message in result.stderr
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_tables_without_rows_are_not_printed(tmp_path: Path) -> None:
     path = scene_with(tmp_path / "a", {}, 0.01)
     write_cog(tmp_path / "truth_dsm.tif", np.zeros(GRID.shape, np.float32), GRID)

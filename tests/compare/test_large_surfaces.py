@@ -21,8 +21,6 @@ from sattools.scene import Grid, stored
 from sattools.scene.raster import write_cog
 from sattools.scene.stored import StoredMap
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 GRID = Grid("EPSG:32617", 436000.0, 3357800.0, 0.5, 210, 230)
 
 

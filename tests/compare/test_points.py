@@ -124,6 +124,7 @@ def test_files_that_hold_no_samples_are_refused(tmp_path: Path, text: Any, messa
         read_points(file)
 
 
+@pytest.mark.drawn
 def test_a_scatter_plot_is_drawn_also_of_a_constant_map(tmp_path: Path) -> None:
     scatter_picture(np.zeros_like(THETA), THETA, "theta", tmp_path / "scatter.png")
     assert (tmp_path / "scatter.png").stat().st_size > 5000

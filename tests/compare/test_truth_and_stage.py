@@ -239,6 +239,7 @@ def scene(tmp_path: Path) -> Any:
     return scene
 
 
+@pytest.mark.drawn
 def test_a_map_that_claims_nothing_has_nothing_to_score(scene: Any) -> None:
     truth = scene.root / "truth"
     write_cog(scene.output("c.tif"), np.full(GRID.shape, np.nan, np.float32), GRID)
@@ -272,6 +273,7 @@ def test_a_map_that_the_scene_does_not_have_is_told_with_those_that_it_has(scene
         compare(CompareOptions(map=["w=w.tif"]), scene)
 
 
+@pytest.mark.drawn
 def test_a_scene_is_scored_and_the_difference_map_written(scene: Any) -> None:
     truth = scene.root / "truth"
     options = CompareOptions(

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import rasterio
 
 from sattools.export.options import ExportOptions
@@ -17,8 +16,6 @@ from sattools.radiometry.stage import normalise
 from sattools.scene import Scene
 from sattools.scene.raster import read_image, read_raster
 from sattools.scene.sensor_files import write_sensor_image
-
-pytestmark = pytest.mark.usefixtures("undrawn")
 
 QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[4], prior_weight=0.0)
 

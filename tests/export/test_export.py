@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 import rasterio
 import torch
+from PIL import Image
 from pyproj import CRS
 
 from sattools.camera.ground import grid_direction
+from sattools.compare.picture import difference_picture
 from sattools.errors import InputError, OutputExistsError, SattoolsError
 from sattools.export.datum import to_datum
-from sattools.export.hillshade import hillshade
+from sattools.export.hillshade import hillshade, write_picture
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.fit.checkpoint import load, save
@@ -192,6 +194,17 @@ def test_a_slope_towards_the_light_is_as_bright_as_lamberts_law_says() -> None:
     assert hillshade(np.zeros((20, 20)), 1.0, 12.0, 30.0) == pytest.approx(0.5)
     south_up = np.tile(column[:, None], (1, 20))  # rises southwards: its normal leans north
     assert hillshade(south_up, 1.0, 0.0, 45.0)[inner] == pytest.approx(1.0)
+
+
+@pytest.mark.drawn
+@pytest.mark.parametrize("height", [0.0, np.nan])
+def test_surfaces_and_differences_without_a_range_are_drawn(tmp_path: Path, height: float) -> None:
+    heights = np.full(GRID.shape, height, np.float32)
+    write_picture(heights, GRID, "level $1", tmp_path / "dsm.png")
+    difference_picture(heights, GRID, "level $1", tmp_path / "difference.png")
+    for name in ("dsm", "difference"):  # a picture with axes and a colour bar, not one of a pixel
+        with Image.open(tmp_path / f"{name}.png") as shown:
+            assert min(shown.size) > 300
 
 
 def test_heights_above_a_geoid_are_computed_or_the_missing_grid_is_named() -> None:

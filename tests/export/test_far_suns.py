@@ -20,8 +20,6 @@ from sattools.fit.stage import fit
 from sattools.render import sun_visibility
 from sattools.scene import Grid
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 GRID = Grid("EPSG:32633", 0.0, 0.0, 1.0, 8, 8)
 SOUTH = (0.0, -(0.5**0.5), 0.5**0.5)
 LEARNED = Description(

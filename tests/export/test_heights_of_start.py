@@ -17,8 +17,6 @@ from sattools.fit.presets import resolve
 from sattools.fit.stage import fit
 from sattools.scene import Scene
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 TINY = {"width": 16, "rays": 64, "steps": 6, "resolution": 2.0}
 
 

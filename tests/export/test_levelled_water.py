@@ -26,8 +26,6 @@ from sattools.scene.dependencies import drop
 from sattools.scene.raster import read_raster, write_cog
 from sattools.scene.validity import CLASSES, FILLED, LEVELLED, MEASURED, UNSEEN, UNWANTED
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 GRID = Grid("EPSG:32617", 436000.0, 3358000.0, 1.0, 120, 80)
 WATER = slice(0, 60)  # columns
 

@@ -27,8 +27,6 @@ from sattools.scene import Scene
 from sattools.scene.raster import read_raster, write_cog
 from sattools.scene.validity import MEASURED
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 COARSE = 2  # the model's cells over the images' pixels
 
 

@@ -21,8 +21,6 @@ from sattools.progress import silent
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.raster import read_raster, write_cog
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 GRID = Grid("EPSG:32617", 436000.0, 3358000.0, 0.5, 60, 40)
 CONFIDENCE = Grid("EPSG:32617", 436000.0, 3358000.0, 1.0, 30, 20)
 

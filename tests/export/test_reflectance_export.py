@@ -28,8 +28,6 @@ from sattools.scene import Scene
 from sattools.scene.raster import read_image, read_raster
 from sattools.simulate import SimulateOptions, simulate
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Scene:

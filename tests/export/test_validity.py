@@ -24,8 +24,6 @@ from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_raster
 from sattools.scene.validity import FILLED, MEASURED, UNSEEN
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[2], prior_weight=0.0)
 
 

@@ -17,8 +17,6 @@ from sattools.fit.stage import fit
 from sattools.scene import Scene, stored
 from sattools.scene.raster import read_image, read_raster
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 
 @pytest.fixture(scope="module")
 def fitted_source(town_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Scene:

@@ -26,8 +26,6 @@ from sattools.scene import Grid
 from sattools.scene.raster import raster_grid, read_raster, write_cog
 from sattools.views import View
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 QUICK = FitOptions(resolution=1.0, coarsest=1.0, epochs=[5])
 
 

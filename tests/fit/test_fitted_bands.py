@@ -17,8 +17,6 @@ from sattools.radiometry.bands import chosen_bands
 from sattools.scene import Asset, Item, Scene
 from sattools.views import load_sources
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 QUICK = {
     "surface": {"epochs": [1]},
     "neural": {"field": "neural", "rays": 64, "steps": 6, "resolution": 2.0},

@@ -13,8 +13,6 @@ from sattools.fit.options import FitOptions
 from sattools.fit.stage import check_start, fit
 from sattools.scene import Scene
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 WHOLE = FitOptions(resolution=1.0, epochs=[1])
 TILED = replace(WHOLE, tile=16.0, overlap=4.0)  # of half of the small scene, two tiles
 

@@ -34,8 +34,6 @@ from sattools.prior.files import read_prior
 from sattools.render import sun_visibility
 from sattools.scene import Scene
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 PAPERS = [name for name in PRESETS if name != "fast"]
 TINY = {"width": 16, "rays": 64, "steps": 12, "resolution": 2.0}
 STEPS = {"eonerf": 40}  # so many that not every step has a row of its own in the trace

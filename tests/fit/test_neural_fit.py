@@ -26,8 +26,6 @@ from sattools.prior.files import read_prior
 from sattools.scene import Scene
 from sattools.simulate import SimulateOptions, simulate
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 TINY = {"field": "neural", "rays": 64, "steps": 12, "resolution": 2.0}
 
 

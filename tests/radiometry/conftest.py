@@ -48,18 +48,13 @@ def saturated_town(town_source: Scene, tmp_path_factory: pytest.TempPathFactory)
     return scene
 
 
-@pytest.fixture
-def drawn() -> None:
-    """Asked for by tests whose histograms are to be drawn."""
-
-
 @pytest.fixture(autouse=True)
 def _histograms_are_drawn_where_they_count(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing one takes several times what the rest of `normalise` takes of these images of a few pixels.
 
     Other tests have the figure made, of their own numbers, and an empty file in place of its picture.
     """
-    if "drawn" in request.fixturenames:
+    if request.node.get_closest_marker("drawn"):
         return
 
     def write(path: Path, figure: Any) -> None:

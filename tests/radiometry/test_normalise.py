@@ -50,7 +50,7 @@ def result(scene: Any, name: Any = "i0") -> Any:
     return read_image(scene.path(f"radiance/{name}.tif"))[:, 0]
 
 
-@pytest.mark.usefixtures("drawn")
+@pytest.mark.drawn
 def test_numbers_are_divided_by_the_full_scale_and_nothing_is_clipped(make_scene: Any) -> None:
     scene = make_scene(numbers(100, 30, 2046))
     found = normalise(scene, NormaliseOptions(black=50))
@@ -294,7 +294,7 @@ def test_dates_are_brought_to_the_first_one(make_scene: Any) -> None:
     assert np.abs(a - b).max() < 2 / 2047  # the second image was rounded to whole numbers, then doubled
 
 
-@pytest.mark.usefixtures("drawn")  # tiny numbers along its axes
+@pytest.mark.drawn  # tiny numbers along its axes
 def test_dates_of_tiny_numbers_are_brought_to_the_first_one_too(make_scene: Any) -> None:
     first = (np.random.default_rng(0).integers(200, 900, (2, 40, 50)) * 1e-9).astype(np.float32)
     scene = make_scene(first, first * np.float32(0.5), **{"sattools:bits": 1})

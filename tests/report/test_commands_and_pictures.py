@@ -21,6 +21,8 @@ from sattools.report.page import Picture, Section, render
 from sattools.report.scene import scene_page
 from sattools.scene import Scene
 
+pytestmark = pytest.mark.drawn
+
 
 def test_command_lines_name_what_is_not_the_default_and_can_be_pasted() -> None:
     line = command_line("fit", {"preset": "fast", "epochs": [4, 2], "pose": False, "reference": "my dsm.tif"})

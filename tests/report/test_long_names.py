@@ -9,6 +9,8 @@ import pytest
 
 from sattools.report import figures
 
+pytestmark = pytest.mark.drawn
+
 NAMES = [f"IMG_PHR1A_P_20130515102112{k}_SEN_IPU_20170522_2146-" + 60 * "x" + f"-R1C{k}" for k in range(4)]
 
 

@@ -12,6 +12,8 @@ from sattools.report.scene import MAPS, _maps
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import write_cog
 
+pytestmark = pytest.mark.drawn
+
 GRID = Grid("EPSG:32617", 436000.0, 3358000.0, 1.0, 40, 30)
 
 

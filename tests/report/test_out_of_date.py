@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import pytest
 import rasterio
 from click.testing import CliRunner
 
@@ -12,7 +11,6 @@ from sattools.report.scene import scene_page
 from sattools.scene import Scene
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_prior_of_images_as_they_are_no_more_is_left_out_by_its_name(make_town: Any) -> None:
     """It had stayed on the page, under a line that said "Left out: ."."""
     scene = api.match(make_town())

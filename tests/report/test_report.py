@@ -142,6 +142,7 @@ def check_self_contained(page: Any) -> None:
     assert all(caption.strip() for caption in page.captions)
 
 
+@pytest.mark.drawn
 def test_a_scenes_page_shows_all_that_is_known(reported: Scene) -> None:
     page = Page((reported.root / "report.html").read_text())
     check_self_contained(page)
@@ -165,7 +166,6 @@ def test_a_scenes_page_shows_all_that_is_known(reported: Scene) -> None:
         assert words in page.text
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_what_a_scene_does_not_have_is_left_out(make_town: Any) -> None:
     scene = make_town("TOWN")
     for item in scene.items:
@@ -176,7 +176,6 @@ def test_what_a_scene_does_not_have_is_left_out(make_town: Any) -> None:
     assert Page((scene.root / "page.html").read_text()).headings == ["Images", "Files"]  # the truth of the town
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_the_page_links_the_log(make_town: Any) -> None:
     scene = make_town("TOWN")
     (scene.root / "sattools.log").write_text("x")
@@ -184,7 +183,6 @@ def test_the_page_links_the_log(make_town: Any) -> None:
     assert "sattools.log" in Page((scene.root / "report.html").read_text()).links
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_an_existing_page_is_kept_unless_it_may_be_replaced(finished: Any) -> None:
     page = finished.root / "report.html"
     assert run(finished.root).exit_code == 0
@@ -212,6 +210,7 @@ def batch(tmp_path: Path) -> Any:
     return tmp_path
 
 
+@pytest.mark.drawn
 def test_a_batchs_page_shows_the_table_the_front_and_the_commands(batch: Any) -> None:
     result = run(batch)
     assert result.exit_code == 0, result.output
@@ -223,7 +222,6 @@ def test_a_batchs_page_shows_the_table_the_front_and_the_commands(batch: Any) ->
     assert "said something" not in page.text
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_batchs_page_shows_nothing_that_an_earlier_run_has_left_in_the_folder(batch: Any, finished: Any) -> None:
     """A map of errors and commands of before, where the configuration has changed since."""
     folder = batch / "runs/fast/A"
@@ -251,7 +249,6 @@ def test_a_table_that_is_none_is_one_line_on_stderr(tmp_path: Path, text: Any) -
     assert result.stderr.count("\n") == 1
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_the_same_again_is_told_without_what_was_done_in_vain(finished: Any) -> None:
     """`fit` stood before the `normalise` that it was run again for, with the prior and the notes of before."""
     seconds = {"seconds": 100.0}
@@ -270,7 +267,6 @@ def test_the_same_again_is_told_without_what_was_done_in_vain(finished: Any) -> 
     assert "amplitudes are relative" not in page
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_images_that_were_set_aside_are_not_said_to_be_held_out(finished: Any) -> None:
     finished.items[0].properties["sattools:role"] = "unused"
     finished.items[1].properties["sattools:fit_role"] = "test"
@@ -278,6 +274,7 @@ def test_images_that_were_set_aside_are_not_said_to_be_held_out(finished: Any) -
     assert roles == ["unused", "test", *["train"] * (len(finished.items) - 2)]
 
 
+@pytest.mark.drawn
 def test_pages_open_in_a_browser_without_a_broken_image_or_an_error(
     reported: Scene, batch: Any, opened: Any, tmp_path: Path
 ) -> None:
@@ -313,7 +310,6 @@ def test_a_broken_image_and_a_script_error_would_be_noticed(tmp_path: Path, open
     assert any("Content Security Policy" in line for line in said)
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_the_cells_that_it_names_are_those_of_the_file_not_of_the_picture(finished: Any) -> None:
     grid = Grid("EPSG:32617", 436500.0, 3357800.0, 0.5, 800, 700)  # more cells than a picture shows
     write_cog(finished.output("export/dsm.tif"), np.zeros(grid.shape, np.float32), grid)
@@ -321,7 +317,6 @@ def test_the_cells_that_it_names_are_those_of_the_file_not_of_the_picture(finish
     assert "cells of 0.5 m, drawn as means over 1 m." in Page((finished.root / "report.html").read_text()).text
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_batchs_heights_are_those_after_align_and_above_what_their_files_say(
     batch: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -348,6 +343,7 @@ def test_a_batchs_heights_are_those_after_align_and_above_what_their_files_say(
     assert shown == [31.0]
 
 
+@pytest.mark.drawn
 def test_a_page_of_many_maps_is_small(make_town: Any) -> None:
     scene = make_town()
     grid = scene.require_grid()
@@ -360,6 +356,7 @@ def test_a_page_of_many_maps_is_small(make_town: Any) -> None:
     assert (scene.root / "report.html").stat().st_size < 3_000_000  # noise packs worse than any map
 
 
+@pytest.mark.drawn
 @pytest.mark.parametrize(("width", "columns"), [(390, 1), (1600, 2)])
 def test_a_page_fits_a_phone_and_uses_a_wide_screen(
     reported: Scene, opened: Any, tmp_path: Path, width: int, columns: int

@@ -32,14 +32,12 @@ def test_error_against_time_counts_the_prior_that_a_fit_has_made(
     assert shown == [*passes, ("exported surface", 35.0, 1.25)]
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_page_says_what_of_a_fit_was_for_albedo(make_town: Any) -> None:
     scene = make_town()
     scene.history = [HISTORY[0], {**HISTORY[1], "albedo_seconds": 12.34}]
     assert "fit: 12.3 s of its time solved for the albedo once the heights stood." in scene_page(scene)
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_page_says_what_of_a_fit_made_its_prior(make_town: Any) -> None:
     scene = make_town()
     scene.history = HISTORY

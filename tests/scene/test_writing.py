@@ -34,6 +34,8 @@ from sattools.scene.raster import write_cog
 from sattools.scene.sensor_files import write_sensor_image
 from sattools.scene.vectors import Features, geopackage
 
+pytestmark = pytest.mark.drawn
+
 GRID = Grid("EPSG:32617", 0.0, 0.0, 1.0, 120, 120)
 NOISE = np.random.default_rng(0).normal(size=GRID.shape).astype(np.float32)
 
