@@ -39,10 +39,21 @@ def room_of(path: Path) -> str:
 
 
 @functools.cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """All that a file's code consists of, for tests that must not change it."""
+    return tuple(ast.walk(parsed(path)))
+
+
+@functools.cache
 def imports(path: Path) -> frozenset[str]:
     """All modules that a file imports, anywhere in it, by their full names."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -54,7 +65,7 @@ def imports(path: Path) -> frozenset[str]:
 def top_level_imports(path: Path) -> set[str]:
     """Packages that are imported as soon as the file is, by their first names."""
     found = set()
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+    for node in parsed(path).body:
         if isinstance(node, ast.Import):
             found |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -136,9 +147,8 @@ def test_the_plugin_does_not_import_the_package() -> None:
 
 @pytest.mark.parametrize("path", FILES, ids=name)
 def test_nothing_unpickles_or_runs_a_shell(path: Any) -> None:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
     assert not [n for n in imports(path) if n.split(".")[0] in ("pickle", "shelve", "marshal")]
-    for node in ast.walk(tree):
+    for node in nodes(path):
         if isinstance(node, ast.keyword):
             assert not (node.arg == "shell" and getattr(node.value, "value", None) is True)
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
@@ -173,15 +183,14 @@ def modules_used(path: Path) -> frozenset[str]:
     What only types need does not count. Whoever imports a module imports the packages that it lies in, too.
     """
     known = modules()
-    tree = ast.parse(path.read_text(encoding="utf-8"))
     typing_only = {
         id(inner)
-        for node in ast.walk(tree)
+        for node in nodes(path)
         if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
         for inner in ast.walk(node)
     }
     found = set()
-    for node in ast.walk(tree):
+    for node in nodes(path):
         if id(node) in typing_only:
             continue
         if isinstance(node, ast.Import):
@@ -234,7 +243,7 @@ def test_files_that_name_modules_in_texts_are_there() -> None:
 
 def declared(path: Path) -> set[str] | None:
     """What a file's `__all__` says that it is for others; None where it has none."""
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+    for node in parsed(path).body:
         if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
             return set(ast.literal_eval(node.value))
     return None
@@ -246,7 +255,7 @@ def test_what_other_modules_import_is_declared() -> None:
     names = {module: declared(path) for module, path in known.items()}
     hidden = set()
     for path in FILES:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if not isinstance(node, ast.ImportFrom) or (own := names.get(node.module or "")) is None:
                 continue
             taken = {alias.name for alias in node.names if f"{node.module}.{alias.name}" not in known}

@@ -183,6 +183,9 @@ def test_where_plain_ground_and_other_ground_meet_the_rest_has_the_others_shape(
     assert here.tolist() == pytest.approx([25.0] * len(here), abs=1.0)  # the prior, of 20 degrees, pulls a little
 
 
+AUTO = FitOptions(brdf="auto", resolution=2.0, epochs=[6])
+
+
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, list[str]]:
     """Ground of two units, one of them Lambert's, 11 views within 45 degrees, fitted and exported."""
@@ -191,7 +194,7 @@ def mixed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, list[str]]:
     )
     scene = simulate(options, tmp_path_factory.mktemp("mixed") / "MIXED")
     prior(scene, PriorOptions())
-    notes = fit(scene, FitOptions(brdf="auto", resolution=2.0, epochs=[1]))["notes"]
+    notes = fit(scene, AUTO)["notes"]
     export(scene, ExportOptions())
     return scene, notes
 
@@ -219,12 +222,11 @@ def test_a_fit_that_was_interrupted_and_resumed_has_the_same_model_and_tells_the
         if "epoch 5/5" in message:
             raise Interrupted
 
-    options = FitOptions(brdf="auto", resolution=2.0, epochs=[6])
-    whole, cut = (copied(mixed[0], tmp_path / name) for name in ("WHOLE", "CUT"))
-    notes = fit(whole, options)["notes"]
+    whole, notes = mixed
+    cut = copied(whole, tmp_path / "CUT")
     with pytest.raises(Interrupted):
-        fit(cut, options, progress)
-    again = fit(cut, replace(options, resume=True))["notes"]
+        fit(cut, AUTO, progress)
+    again = fit(cut, replace(AUTO, resume=True))["notes"]
     assert any("which is enough" in note for note in notes)
     assert again == notes
     tensors = [load(scene.path(scene.products["model"]))[0] for scene in (whole, cut)]
