@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from sattools.scene.stored import cut
 
 PRODUCT = "prior_surroundings"
 _SPARE_CELLS = 2  # slopes of the cells at the border
+_KEPT_CELLS = 1 << 20  # on other grids: a small area is lit from the same directions many times
 _EDGE = 512  # cells of a file that are looked at at a time: most of a large area's hold nothing
 Vector = tuple[float, float, float]
 Layer = tuple[NDArray[np.float32], Grid]
@@ -36,6 +37,7 @@ class Around:
 
     layers: tuple[Layer, ...]
     area: Grid
+    _kept: dict[tuple[int, Grid], NDArray[np.float32]] = field(default_factory=dict, compare=False, repr=False)
 
     def light_from(self, height: NDArray[np.float32], cell_size: float, direction: Vector) -> NDArray[np.float32]:
         """Share ``[H, W]`` of the light from a direction that reaches the area's cells past all around them.
@@ -91,14 +93,23 @@ class Around:
         grid = own.part(slice(-up, rows + down), slice(-left, cols + right))
         bottom, _ = self.range(height)
         wide = np.full(grid.shape, bottom, np.float32)
-        for values, its in self.layers:
+        for number, (_, its) in enumerate(self.layers):
             part = window_around(grid, its)
             if part is not None:
-                there = reproject_map(values, its, grid.part(*part))
+                there = self._on(number, grid.part(*part))
                 wide[part] = np.where(np.isfinite(there), there, wide[part])
         inside = slice(up, up + rows), slice(left, left + cols)
         wide[inside] = np.where(np.isfinite(height), height, np.float32(bottom))
         return wide, *inside
+
+    def _on(self, number: int, target: Grid) -> NDArray[np.float32]:
+        """Heights ``[H, W]`` of a layer on another grid [m], not to be changed; those of small grids are kept."""
+        found = self._kept.get((number, target))
+        if found is None:
+            found = reproject_map(*self.layers[number], target)
+            if found.size + sum(kept.size for kept in list(self._kept.values())) <= _KEPT_CELLS:
+                self._kept[number, target] = found
+        return found
 
 
 def _near(area: Grid) -> Grid:

@@ -31,9 +31,9 @@ def _forgotten() -> Iterator[None]:
 
 
 @pytest.fixture
-def fitting(make_town: Any) -> Iterator[Any]:
+def fitting(make_hamlet: Any) -> Iterator[Any]:
     """A fit that has begun to train, and its scene."""
-    scene = make_town()
+    scene = make_hamlet()
     command = [sys.executable, "-m", "sattools", "--threads", "1", "--progress", "json", "fit"]
     process = subprocess.Popen(
         [*command, "--epochs", "500", str(scene.root / "scene.json")],
@@ -70,7 +70,7 @@ def test_a_signal_ends_the_fit_with_its_code_and_no_half_written_file(fitting: A
     # progress for programs: every line is a record, and it only grows
     assert all(set(r) == {"progress", "message"} and 0 <= r["progress"] <= 1 for r in records)
     assert [r["progress"] for r in records] == sorted(r["progress"] for r in records)
-    assert records[-1]["message"].startswith("fit TOWN: ")
+    assert records[-1]["message"].startswith("fit HAMLET: ")
 
 
 def test_a_signal_while_the_interpreter_shuts_down_does_not_undo_what_is_done() -> None:
