@@ -15,6 +15,7 @@ from sattools.processors import cores, takes
 from sattools.scene import Grid, Scene
 
 AREA = "0.0041 km2, 16384 cells, 6 images"
+QUICK = ("--rough-passes", "0", "--resolution", "4")  # what matching finds does not count
 
 
 def run(*arguments: object) -> Any:
@@ -105,10 +106,10 @@ def test_change_says_nothing_of_a_plan_that_it_cannot_follow(make_town: Callable
 
 def test_people_see_it_first_and_programs_only_in_the_log(make_town: Callable[[], Scene]) -> None:
     document = make_town().root / "scene.json"
-    first, *_ = run("--progress", "bar", "prior", document).stderr.splitlines()
+    first, *_ = run("--progress", "bar", "prior", *QUICK, document).stderr.splitlines()
     assert first.startswith("sattools prior: TOWN: 0.0041 km2, 16384 cells, 6 images: about ")
     for shown in ("json", "none", "auto"):  # the runner's stderr is no terminal
-        assert "GiB of memory" not in run("--progress", shown, "prior", "--overwrite", document).stderr
+        assert "GiB of memory" not in run("--progress", shown, "prior", *QUICK, "--overwrite", document).stderr
     assert (document.parent / "sattools.log").read_text().count("prior TOWN: 0.0041 km2, 16384 cells") == 4
 
 
