@@ -21,9 +21,11 @@ set_threads(1)
 
 # Files that take half a minute or more, the longest first: begun last, they would leave all cores but one idle.
 LONG = (
-    "test_accuracy.py", "test_batch_run.py", "test_in_qgis.py", "test_tutorials.py", "test_tiles_side_by_side.py",
-    "test_networks_from_the_prior.py", "test_stale_results.py", "test_nothing_lost.py", "test_evaluation.py",
-    "test_tiled_fit.py",
+    "test_accuracy.py", "test_networks_from_the_prior.py", "test_in_qgis.py", "test_nothing_lost.py",
+    "test_stale_results.py", "test_tiled_fit.py", "test_batch_run.py", "test_tutorials.py", "test_report.py",
+    "test_shift_to_dem.py", "test_tiles_side_by_side.py", "test_stage.py", "test_models_by_material.py", "test_api.py",
+    "test_neural_fit.py", "test_launch.py", "test_evaluation.py", "test_resume.py", "test_kernel_blocks.py",
+    "test_surroundings.py", "test_align.py", "test_signals.py", "test_prep_stage.py", "test_start.py",
 )  # fmt: skip
 
 

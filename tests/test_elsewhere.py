@@ -68,6 +68,9 @@ EVERY_STEP = """
 from pathlib import Path
 from click.testing import CliRunner
 from sattools.cli import main
+sys.path.append(sys.argv[2])
+from pictures import undrawn
+undrawn().__enter__()  # for as long as the process lasts
 folder = Path(sys.argv[1])
 made, scene = folder / "SIM", folder / "TRY/scene.json"
 for step in (
@@ -91,7 +94,7 @@ for step in (
 def test_a_scene_goes_through_every_step_without_what_posix_systems_have(tmp_path: Path) -> None:
     """All in that process: what it starts would have all of it again."""
     pytest.importorskip("psutil")
-    tried = done(without_posix(EVERY_STEP, str(tmp_path), libraries=OF_COMMANDS))
+    tried = done(without_posix(EVERY_STEP, str(tmp_path), str(Path(__file__).parent), libraries=OF_COMMANDS))
     assert tried.returncode == 0, tried.stderr
     assert tried.stdout.split() == [
         *("simulate", "prep", "normalise", "prior", "fit", "export", "compare", "align", "report", "fit")
