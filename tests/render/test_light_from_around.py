@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sattools.errors import InputError
+from sattools.render import around as around_module
 from sattools.render.around import Around, read_around
 from sattools.render.shadows import light_from
 from sattools.scene import Grid, Scene
@@ -39,6 +40,22 @@ def test_shadows_are_those_of_the_whole(sun: Any) -> None:
     lit = around.light_from(height[INSIDE], 1.0, sun)
     np.testing.assert_array_equal(lit, light_from(height, 1.0, sun)[INSIDE])
     assert sun[:2] == (0.0, 0.0) or (lit != light_from(height[INSIDE], 1.0, sun)).any()
+
+
+def test_what_is_laid_on_other_cells_once_is_that_of_its_own_light_and_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As it is in a fit, which asks for the same light again and again."""
+    height, area = town(), WHOLE.part(*INSIDE)
+    layers = ((ring(height), WHOLE), (ring(height)[::2, ::2], WHOLE.resized(2.0)))
+    asked = [(height[INSIDE][::step, ::step], float(step), sun) for step in (1, 2) for sun in SUNS]
+    alone = [Around(layers, area).light_from(*each) for each in asked]
+    around, calls = Around(layers, area), []
+    laid = around_module.reproject_map
+    monkeypatch.setattr(around_module, "reproject_map", lambda *given: calls.append(given) or laid(*given))
+    for first in (True, False):
+        calls.clear()
+        for each, light in zip(asked, alone, strict=True):
+            np.testing.assert_array_equal(around.light_from(*each), light)
+        assert bool(calls) == first  # all of the second round was there
 
 
 def test_a_later_layer_counts_where_it_is_known() -> None:
