@@ -46,7 +46,8 @@ def test_what_is_laid_on_other_cells_once_is_that_of_its_own_light_and_cells(mon
     """As it is in a fit, which asks for the same light again and again."""
     height, area = town(), WHOLE.part(*INSIDE)
     layers = ((ring(height), WHOLE), (ring(height)[::2, ::2], WHOLE.resized(2.0)))
-    asked = [(height[INSIDE][::step, ::step], float(step), sun) for step in (1, 2) for sun in SUNS]
+    suns = [*SUNS, (0.9, 0.0, 0.436)]  # one opposite another: as many cells of other ground
+    asked = [(height[INSIDE][::step, ::step], float(step), sun) for step in (1, 2) for sun in suns]
     alone = [Around(layers, area).light_from(*each) for each in asked]
     around, calls = Around(layers, area), []
     laid = around_module.reproject_map
