@@ -124,10 +124,7 @@ def match_sources(
     maps = {name: crop(array, fine.shape) for name, array in vars(matched).items() if isinstance(array, np.ndarray)}
     height, cells, side = maps["height"], fine, maps.pop("side", None)
     if side is not None:
-        height, cells = (
-            quarters(height, side),
-            replace(fine, cell_size=fine.cell_size / 2, width=2 * fine.width, height=2 * fine.height),
-        )
+        height, cells = quarters(height, side), fine.resized(fine.cell_size / 2)
     resized: dict[str, Any] = {
         name: nearest_cells(array, fine, grid) if array.dtype == np.uint8 else resize_map(array, fine, grid)
         for name, array in maps.items()
