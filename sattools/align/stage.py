@@ -132,20 +132,33 @@ def check_start(scene: Scene, options: AlignOptions, overwrite: bool = False) ->
     _begun(scene, options, overwrite)
 
 
-def _begun(scene: Scene, options: AlignOptions, overwrite: bool) -> tuple[dict[tuple[str | None, str], Move], str]:
-    """The maps that will move and the folder of the moved ones, once all is checked that needs no work."""
+def check_options(options: AlignOptions, crs: str = "EPSG:4326") -> Path:
+    """What `check_start` can tell without a scene; the reference.
+
+    Args:
+        options: see `AlignOptions`.
+        crs: the scene's; any where it is not known yet.
+
+    Raises:
+        InputError: options that do not go with each other, or a reference that is none.
+    """
     if options.to is None:
         raise InputError("found no --to, expected a raster of heights or ground control points")
     if options.tilt and options.method in ("nuth-kaab", "z"):
         raise InputError(f"found --tilt with --method {options.method}, expected --method means or icp")
     reference = location(options.to)
-    check_reference(reference, scene.require_grid().crs)
-    if holds_points(reference):
-        if options.tilt or options.method == "z":
-            what = "--tilt" if options.tilt else "--method z"
-            raise InputError(f"{reference}: found control points, expected a raster of heights for {what}")
-        if options.method != "auto":
-            log.warning("%s: control points, for which --method %s does nothing", reference, options.method)
+    check_reference(reference, crs)
+    if holds_points(reference) and (options.tilt or options.method == "z"):
+        what = "--tilt" if options.tilt else "--method z"
+        raise InputError(f"{reference}: found control points, expected a raster of heights for {what}")
+    return reference
+
+
+def _begun(scene: Scene, options: AlignOptions, overwrite: bool) -> tuple[dict[tuple[str | None, str], Move], str]:
+    """The maps that will move and the folder of the moved ones, once all is checked that needs no work."""
+    reference = check_options(options, scene.require_grid().crs)
+    if holds_points(reference) and options.method != "auto":
+        log.warning("%s: control points, for which --method %s does nothing", reference, options.method)
     if "dsm" not in scene.products:
         raise MissingProductError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
     check_current(scene, "export")
@@ -328,4 +341,4 @@ def _recorded(scene: Scene, records: dict[str, JsonObject | None]) -> dict[str, 
     return made
 
 
-__all__ = ["align", "check_start"]
+__all__ = ["align", "check_options", "check_start"]

@@ -43,5 +43,11 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         check_start(scene, options, overwrite)
 
+    def ahead() -> None:
+        from sattools.align.stage import check_options
+
+        check_options(options)
+
     run = Run("align", options, dry_run, print_config, overwrite)
-    run_scenes(run, scenes, work, plan="move onto the reference", foreseen=plans.of_align, check=check)
+    plan = "move onto the reference"
+    run_scenes(run, scenes, work, plan=plan, foreseen=plans.of_align, check=check, ahead=ahead)

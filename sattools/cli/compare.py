@@ -10,7 +10,7 @@ import click
 
 from sattools.cli import plans
 from sattools.cli.options import build, common_options, dataclass_options, print_config, scene_argument, typed
-from sattools.cli.pipe import Run, apply, progress_of, report_error, run_scenes
+from sattools.cli.pipe import Run, announce, apply, progress_of, report_error, run_scenes, waits
 from sattools.compare.options import CompareOptions, without_effect
 from sattools.errors import OutputExistsError, SattoolsError
 from sattools.export.options import ExportOptions
@@ -69,6 +69,13 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         run = Run("export", ExportOptions(), overwrite=overwrite)
         return apply(run, scene, lambda scene, progress: export(scene, ExportOptions(), progress, overwrite))[0]
 
+    def ahead() -> None:
+        from sattools.compare.stage import check_options
+
+        check_options(options)
+        if not (options.truth or options.dsm) and waits():
+            announce("compare", "no --truth or --dsm", "the scene has to bring its own truth, as those of simulate do")
+
     run = Run("compare", options, dry_run, print_config, overwrite)
     run_scenes(
         run,
@@ -79,6 +86,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         before,
         foreseen=plans.of_compare,
         check=lambda s: _check(options, s, overwrite),
+        ahead=ahead,
     )
 
 

@@ -37,5 +37,11 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         check_start(scene, options, overwrite)
 
+    def ahead() -> None:
+        from sattools.export.stage import check_options
+
+        check_options(options)
+
     run = Run("export", options, dry_run, print_config, overwrite)
-    run_scenes(run, scenes, work, plan="write the DSM and maps", foreseen=plans.of_export, check=check)
+    plan = "write the DSM and maps"
+    run_scenes(run, scenes, work, plan=plan, foreseen=plans.of_export, check=check, ahead=ahead)

@@ -113,6 +113,11 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         check_start(scene, options, overwrite)
 
+    def ahead() -> None:
+        from sattools.fit.stage import check_options
+
+        check_options(options)
+
     def foreseen(scene: Scene) -> str:
         from sattools.fit.foresight import foresee
 
@@ -128,4 +133,4 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         plan = plan_of(options)
     run = Run("fit", options, dry_run, print_config, overwrite)
-    run_scenes(run, scenes, work, plan=plan, foreseen=foreseen, check=check)
+    run_scenes(run, scenes, work, plan=plan, foreseen=foreseen, check=check, ahead=ahead)

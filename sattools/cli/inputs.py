@@ -1,10 +1,10 @@
-"""Files and folders that options name: whether they are there, asked before a command waits for anything."""
+"""What is known of a command's options alone, files and folders that they name above all: asked before it waits."""
 
 from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import is_dataclass
 from typing import Any
 
@@ -26,7 +26,7 @@ def check_inputs(options: Any) -> None:
         raise InputError(f"{name}: {error}")
 
 
-def check_inputs_before_waiting(options: Any, scenes: Sequence[str]) -> None:
+def check_inputs_before_waiting(options: Any, scenes: Sequence[str], ahead: Callable[[], None] | None = None) -> None:
     """The same before the scenes are asked for: those of a pipe come when what is before it has done hours of work.
 
     What would lie in a folder that is not there either may be what a command before it on the pipe makes; a warning
@@ -35,12 +35,20 @@ def check_inputs_before_waiting(options: Any, scenes: Sequence[str]) -> None:
     Args:
         options: as of `check_inputs`.
         scenes: paths of documents; empty or ``-`` = stdin.
+        ahead: raises what else is in the way, whatever a scene of a pipe will hold; may read the files that options
+            name, and is not asked before all of them are on this machine.
     """
+    from sattools.scene.location import is_remote
+
     piped = not scenes or "-" in scenes
+    complete = not any(is_remote(name) for name, _, _ in _named(options))
     for name, error in _missing(options):
         if not piped or os.path.isdir(os.path.dirname(name) or "."):
             raise InputError(f"{name}: {error}")
         log.warning("%s: %s by the time that the scene arrives", name, error)
+        complete = False
+    if piped and complete and ahead:
+        ahead()
 
 
 def _missing(options: Any) -> Iterator[tuple[str, str]]:

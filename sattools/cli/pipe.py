@@ -59,6 +59,7 @@ def run_scenes(
     *,
     foreseen: Callable[[Scene], str] | None = None,
     check: Callable[[Scene], None] | None = None,
+    ahead: Callable[[], None] | None = None,
 ) -> None:
     """Apply ``work`` to every scene and pass the results on as soon as they are done.
 
@@ -69,8 +70,9 @@ def run_scenes(
         emit: makes the line for stdout from the scene and the history entry; None = the scene document.
         plan: for --dry-run, what would be done.
         before: does what the command needs and the scene has not.
-        foreseen: what it will take: for --dry-run, and for the first line where people look on (`_announce`).
+        foreseen: what it will take: for --dry-run, and for the first line where people look on (`announce`).
         check: for --dry-run, raises what ``work`` would raise at its start; may change the scene.
+        ahead: raises what of that the options alone tell, before the scene of a pipe is waited for.
     """
     if run.print_config:
         print_config(run.command, run.options)
@@ -92,14 +94,14 @@ def run_scenes(
 
         def planned(scene: Scene, progress: Progress) -> dict[str, Any] | None:
             if foreseen:
-                _announce(run.command, scene.id, foreseen(scene))
+                announce(run.command, scene.id, foreseen(scene))
             return work(scene, progress)
 
         scene, entry = apply(run, before(scene) if before else scene, planned)
         return emit(scene, entry) if emit else _shown(scene, entry)
 
     try:
-        check_inputs_before_waiting(run.options, scenes)
+        check_inputs_before_waiting(run.options, scenes, ahead)
     except SattoolsError as error:
         report_error(run.command, error)
         sys.exit(1)
@@ -110,16 +112,19 @@ def run_scenes(
 
 def _import_meanwhile(command: str) -> None:
     """Import what a command works with while the one before it on the pipe works, which takes longer."""
-    if command not in WORK:
-        return
-    try:
-        if sys.stdin.isatty() or select.select([sys.stdin], [], [], 0)[0]:
-            return
-    except (AttributeError, OSError, ValueError):  # no stdin, or none that can be asked
+    if command not in WORK or not waits():
         return
     import_module(WORK[command])
     if compiled := sys.modules.get("sattools.compiled"):
         compiled.get_ready()
+
+
+def waits() -> bool:
+    """Whether nothing has come on stdin yet that people do not type."""
+    try:
+        return not (sys.stdin.isatty() or select.select([sys.stdin], [], [], 0)[0])
+    except (AttributeError, OSError, ValueError):  # no stdin, or none that can be asked
+        return False
 
 
 def _rehearse(run: Run, scene: Scene, check: Callable[[Scene], None]) -> None:
@@ -137,8 +142,14 @@ def _rehearse(run: Run, scene: Scene, check: Callable[[Scene], None]) -> None:
             raise
 
 
-def _announce(command: str, label: str, plan: str) -> None:
-    """What is begun: a line on a terminal, and with -v; in the scene's log in any case."""
+def announce(command: str, label: str, plan: str) -> None:
+    """What is begun: a line on a terminal, and with -v; in the scene's log in any case.
+
+    Args:
+        command: its name.
+        label: of the scene, or what else it is about.
+        plan: what is said.
+    """
     log.info("%s %s: %s", command, label, plan)
     if is_watched():
         click.echo(f"sattools {command}: {label}: {plan}", err=True)
@@ -271,6 +282,7 @@ def _print_line(line: str) -> None:
 __all__ = [
     "NOTHING",
     "Run",
+    "announce",
     "apply",
     "each_scene",
     "is_watched",
@@ -278,4 +290,5 @@ __all__ = [
     "report_error",
     "run_scenes",
     "run_source",
+    "waits",
 ]

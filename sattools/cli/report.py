@@ -46,6 +46,8 @@ def command(source: str, out: Path | None, overwrite: bool) -> None:
 
         name = str(Path(source) / "scene.json") if Path(source).is_dir() and source != "-" else source
         done = False
+        if out is not None and name == "-":  # known before the scene comes, hours maybe
+            check_page(out, overwrite)
         for origin, text in documents((name,)):
             scene = parse(origin, text)
             if scene.origin is None:  # of one on disk a page says what is left of it
@@ -75,12 +77,24 @@ def write(path: Path, page: str, overwrite: bool, inputs: Iterable[Path]) -> Non
         overwrite: replace outputs that are there.
         inputs: files that it was made from.
     """
-    from sattools.report.page import may_be_replaced
     from sattools.scene.files import check_outputs, write_text
 
     check_outputs([path], inputs, overwrite=True)  # an input is told as one, whatever it is
+    check_page(path, overwrite)
+    write_text(path, page)
+    click.echo(str(path))
+
+
+def check_page(path: Path, overwrite: bool) -> None:
+    """Raise OutputExistsError where a page would replace a file that is no page, or another page unasked.
+
+    Args:
+        path: file to write.
+        overwrite: replace a page that is there.
+    """
+    from sattools.report.page import may_be_replaced
+    from sattools.scene.files import check_outputs
+
     if path.is_file() and not may_be_replaced(path):
         raise OutputExistsError(f"{path}: found a file that is no report of sattools, expected a new name or a report")
     check_outputs([path], overwrite=overwrite)
-    write_text(path, page)
-    click.echo(str(path))

@@ -17,7 +17,15 @@ from sattools.compare.options import CompareOptions, name_and_file
 from sattools.compare.picture import difference_picture, scatter_picture
 from sattools.compare.surface import Comparison, FiledSurface, HeldSurface, Surface, compare_surface
 from sattools.compare.text import to_json
-from sattools.compare.truth import Truth, crs_on_ground, grid_on_ground, open_reference, read_dfc2019
+from sattools.compare.truth import (
+    Truth,
+    check_dsm,
+    check_tile,
+    crs_on_ground,
+    grid_on_ground,
+    open_reference,
+    read_dfc2019,
+)
 from sattools.errors import InputError, MissingProductError
 from sattools.progress import Progress, silent
 from sattools.scene.cog import CogWriter
@@ -158,6 +166,31 @@ def check_ahead(
     may_begin(scene, "compare", _hrefs(options), overwrite, given_files(options, scene))
     read_truth(options, scene, scene.root)
     _check_asked(options, replace(scene, items=[]), made)
+
+
+def check_options(options: CompareOptions) -> None:
+    """What `check_start` can tell without a scene: whether the files that the options name can be what they have to be.
+
+    Args:
+        options: of the stage; their files are there.
+
+    Raises:
+        InputError: a reference without heights, a folder without tiles, samples or weights that are none.
+    """
+    if options.truth:
+        check_tile(Path(options.truth), options.aoi)
+    if options.dsm:
+        check_dsm(Path(options.dsm), options.classes)
+    for path in name_and_file(options.map, "--map").values():
+        crs_on_ground(path)
+    if options.points:
+        from sattools.compare.points import read_points
+
+        read_points(Path(options.points))
+    if options.views and options.lpips_weights:
+        from sattools.compare.perceptual import read_weights
+
+        read_weights(tuple(options.lpips_weights))
 
 
 def given_files(options: CompareOptions, scene: Scene) -> list[Path]:

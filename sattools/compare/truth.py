@@ -112,7 +112,7 @@ def read_dfc2019(folder: Path | str, aoi: str) -> Truth:
     size. Raises InputError for missing or contradictory files.
     """
     folder = Path(folder)
-    _check_tile(folder, aoi)
+    check_tile(folder, aoi)
     heights = _heights(folder / f"{aoi}_DSM.tif")
     grid = _dfc2019_grid(folder / f"{aoi}_DSM.txt", heights.shape, _dfc2019_crs(folder / f"{aoi}_DSM.tif", aoi))
     path = folder / f"{aoi}_CLS.tif"
@@ -125,15 +125,21 @@ def read_dfc2019(folder: Path | str, aoi: str) -> Truth:
     return Truth(aoi, "dfc2019", grid, heights, _class_codes(classes, path), path=folder / f"{aoi}_DSM.tif")
 
 
-def _check_tile(folder: Path, aoi: str) -> None:
-    """Raise InputError where a folder is none, or has nothing of a tile."""
-    expected = f"expected a folder with {aoi}_DSM.tif, {aoi}_DSM.txt and {aoi}_CLS.tif"
+def check_tile(folder: Path, aoi: str | None) -> None:
+    """Raise InputError where a folder is none, or has nothing of a tile.
+
+    Args:
+        folder: of the contest's truth.
+        aoi: the tile; None = any.
+    """
+    name = aoi or "NAME"
+    expected = f"expected a folder with {name}_DSM.tif, {name}_DSM.txt and {name}_CLS.tif"
     if folder.is_file():
         raise InputError(f"{folder}: found a file, {expected} (--dsm takes a file)")
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder, {expected}")
-    if not (folder / f"{aoi}_DSM.tif").exists():
-        others = sorted(path.name.removesuffix("_DSM.tif") for path in folder.glob("*_DSM.tif"))
+    others = sorted(path.name.removesuffix("_DSM.tif") for path in folder.glob("*_DSM.tif"))
+    if not ((folder / f"{aoi}_DSM.tif").exists() if aoi else others):
         found = f"tiles {', '.join(others)[:200]} (--aoi NAME takes one)" if others else "no tile"
         raise InputError(f"{folder}: found {found}, {expected}")
 
@@ -168,10 +174,8 @@ def open_reference(
         InputError: as `read_reference`.
     """
     dsm = Path(dsm)
-    if classes is None and dsm.name.endswith("_DSM.tif") and dsm.with_suffix(".txt").exists():
-        aoi = dsm.name.removesuffix("_DSM.tif")
-        if _has_classes(dsm.parent, aoi) or not _georeferenced(dsm):
-            return read_dfc2019(dsm.parent, aoi)
+    if tile := _tile_of(dsm, classes):
+        return read_dfc2019(dsm.parent, tile)
     check_heights(dsm, one_band=False)
     grid, own = grid_on_ground(dsm, crs)
     heights, codes = new_map(grid.shape, np.float32, folder), None
@@ -190,6 +194,28 @@ def open_reference(
             meant = ", ".join(f"{code} {name}" for code, name in _MEANT.items())
             log.warning("%s: found none of the classes %s: all cells are scored alike, water too", classes, meant)
     return Truth(dsm.stem, "dsm", grid, heights, codes, path=dsm)
+
+
+def check_dsm(dsm: Path, classes: Path | str | None) -> None:
+    """Raise InputError where a file can be told to be no reference for `open_reference` without reading its heights.
+
+    Args:
+        dsm: the file.
+        classes: class map, or None.
+    """
+    if _tile_of(dsm, classes) is None:
+        check_heights(dsm, one_band=False)
+        crs_on_ground(dsm)
+    if classes is not None:
+        crs_on_ground(Path(classes))
+
+
+def _tile_of(dsm: Path, classes: Path | str | None) -> str | None:
+    """The tile of the contest that a file is read as, None where it is read as any other raster."""
+    if classes is not None or not (dsm.name.endswith("_DSM.tif") and dsm.with_suffix(".txt").exists()):
+        return None
+    aoi = dsm.name.removesuffix("_DSM.tif")
+    return aoi if _has_classes(dsm.parent, aoi) or not _georeferenced(dsm) else None
 
 
 def grid_on_ground(dsm: Path, crs: str | None) -> tuple[Grid, bool]:

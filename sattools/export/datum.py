@@ -37,16 +37,12 @@ def to_datum(height: np.ndarray, grid: Grid, vertical: str) -> tuple[np.ndarray,
         return height, datum_name(vertical)
     from pyproj.exceptions import ProjError
 
-    _, name, file = GEOIDS[vertical]
     x, y = np.meshgrid(grid.x(), grid.y())
     lon, lat = to_geographic(grid.crs, x.ravel(), y.ravel())
     try:
         _, _, above = _transformer(vertical).transform(lon, lat, height.astype(np.float64).ravel(), errcheck=True)
     except ProjError as error:
-        raise SattoolsError(
-            f"--vertical {vertical}: found no grid of the {name} in PROJ, expected {file} "
-            f"(fetch it with `sattools doctor --fetch-geoids`)"
-        ) from error
+        raise _no_grid(vertical) from error
     return np.asarray(above).reshape(height.shape), datum_name(vertical)
 
 
@@ -59,6 +55,24 @@ def check_datum(grid: Grid, vertical: str) -> None:
     """
     middle = grid.part(*(slice(n // 2, n // 2 + 1) for n in grid.shape))
     to_datum(np.zeros((1, 1)), middle, vertical)
+
+
+def check_grid(vertical: str) -> None:
+    """Raise SattoolsError where PROJ has no grid for a geoid anywhere.
+
+    Args:
+        vertical: name of the datum.
+    """
+    if vertical in GEOIDS and not has_grid(vertical):
+        raise _no_grid(vertical)
+
+
+def _no_grid(vertical: str) -> SattoolsError:
+    _, name, file = GEOIDS[vertical]
+    return SattoolsError(
+        f"--vertical {vertical}: found no grid of the {name} in PROJ, expected {file} "
+        f"(fetch it with `sattools doctor --fetch-geoids`)"
+    )
 
 
 def datum_name(vertical: str) -> str:
@@ -97,4 +111,14 @@ def _transformer(vertical: str) -> Transformer:
     return Transformer.from_crs("EPSG:4979", GEOIDS[vertical][0], always_xy=True, only_best=True, allow_ballpark=False)
 
 
-__all__ = ["ELLIPSOID", "GEOIDS", "check_datum", "datum_name", "has_grid", "to_datum", "vertical_crs", "vertical_datum"]
+__all__ = [
+    "ELLIPSOID",
+    "GEOIDS",
+    "check_datum",
+    "check_grid",
+    "datum_name",
+    "has_grid",
+    "to_datum",
+    "vertical_crs",
+    "vertical_datum",
+]

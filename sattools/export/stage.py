@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sattools.errors import InputError, MissingProductError, SceneError
 from sattools.export.blocks import Block, Surroundings, blocks
 from sattools.export.context import RELIT, Exported, shadow_suns, view_href
-from sattools.export.datum import check_datum
+from sattools.export.datum import check_datum, check_grid
 from sattools.export.options import ExportOptions
 from sattools.export.products.collection import PRODUCTS as CATALOGUE
 from sattools.export.products.collection import write_collection
@@ -136,6 +136,12 @@ def check_start(scene: Scene, options: ExportOptions, overwrite: bool = True, in
     outputs = _outputs(scene, options, *_opened(scene, options))
     may_begin(scene, "export", outputs, overwrite, inputs)
     return outputs
+
+
+def check_options(options: ExportOptions) -> None:
+    """What `check_start` can tell without a scene; SattoolsError where a library or the grid of a geoid is missing."""
+    check_libraries(options.wanted)
+    check_grid(options.vertical)
 
 
 def _opened(scene: Scene, options: ExportOptions) -> tuple[StoredModel, FittedModel | None]:
@@ -269,4 +275,4 @@ def _views(scene: Scene, parts: Parts, options: ExportOptions, progress: Progres
             write_view(shown, name, options.sun)
 
 
-__all__ = ["check_start", "export"]
+__all__ = ["check_options", "check_start", "export"]

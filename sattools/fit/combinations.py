@@ -11,12 +11,12 @@ PLAIN = ("voxel", "neural")  # fields without heads
 LEAST_HELD = 16  # place, density, colour, and what is made of them
 
 
-def check_combination(options: FitOptions, bands: int) -> None:
+def check_combination(options: FitOptions, bands: int | None) -> None:
     """Raise SceneError where the options of a fit cannot work together.
 
     Args:
         options: of the fit.
-        bands: of the images.
+        bands: of the images; None = nobody knows yet.
     """
     check_sky(options, bands)
     with_prior = options.prior_weight > 0
@@ -27,7 +27,7 @@ def check_combination(options: FitOptions, bands: int) -> None:
         raise SceneError(f"{asked}: found no prior, expected one (--prior-weight above 0)")
 
 
-def check_sky(options: FitOptions, bands: int) -> None:
+def check_sky(options: FitOptions, bands: int | None) -> None:
     """Raise SceneError where a sky is asked for without a reflectance model, or of another number of bands."""
     if options.sky == "none" and not options.sky_share:
         if options.bounce:
@@ -37,7 +37,7 @@ def check_sky(options: FitOptions, bands: int) -> None:
         raise SceneError(
             f"--sky: found --brdf {options.brdf} and --field {options.field}, expected rpv, hapke or auto on a surface"
         )
-    if options.sky_share and len(options.sky_share) not in (1, bands):
+    if bands is not None and options.sky_share and len(options.sky_share) not in (1, bands):
         raise SceneError(
             f"--sky-share: found {counted(len(options.sky_share), 'values')}, expected 1 or {bands}, one per band"
         )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+from sattools.fit.combinations import check_combination
 from sattools.fit.files import MODEL, TRACE
 from sattools.fit.foresight import check_tiled, with_tile
 from sattools.fit.inputs import (
@@ -15,6 +17,7 @@ from sattools.fit.inputs import (
     warn_of_prior,
 )
 from sattools.fit.options import FitOptions
+from sattools.fit.rays.precision import check_precision
 from sattools.fit.tiles.plan import Plan
 from sattools.fit.tiles.shared import PRODUCT
 from sattools.fit.tiles.stage import fit_tiled
@@ -84,4 +87,25 @@ def check_start(scene: Scene, options: FitOptions, overwrite: bool = True) -> No
                 check_prior_start(scene, PriorOptions(), may or left_over or "prior_dsm" in scene.products)
 
 
-__all__ = ["check_start", "choose_device", "fit"]
+def check_options(options: FitOptions) -> None:
+    """What `check_start` can tell without a scene.
+
+    Args:
+        options: of the fit; its reference, if it has one, is there.
+
+    Raises:
+        SceneError: options that do not go with each other, or with this machine.
+        InputError: a reference without heights.
+    """
+    device = choose_device(options.device)
+    check_combination(options, None)
+    check_precision(options, device)
+    if options.tile and options.tile != "auto":
+        check_tiled(options)
+    if options.reference:
+        from sattools.compare.doubts import check_heights
+
+        check_heights(Path(options.reference), one_band=False)
+
+
+__all__ = ["check_options", "check_start", "choose_device", "fit"]

@@ -28,7 +28,7 @@ from sattools.fit.inputs import (
 )
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
-from sattools.fit.rays.precision import check_precision
+from sattools.fit.rays.precision import check_precision, warn_of_precision
 from sattools.fit.rays.start import Beginning
 from sattools.fit.resume import check_checkpoint
 from sattools.fit.surface.detail import with_detail
@@ -107,6 +107,7 @@ def set_up(scene: Scene, options: FitOptions) -> FitSetup:
     elif device.type == "cpu":
         check_step(options)
     check_precision(options, device)
+    warn_of_precision(options, device)
     check_prior(scene, options)
     check_reference(scene, options.reference)
     basis = basis_of(scene, options, images.cameras)

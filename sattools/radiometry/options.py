@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from sattools.errors import InputError
 from sattools.settings import option
 
 
@@ -56,6 +57,12 @@ class NormaliseOptions:
         minimum=0, maximum=0.2,
     )  # fmt: skip
     match: bool = option(False, "Bring all dates to the first one by gain and offset per band (16 and 84 % quantiles).")
+
+    def __post_init__(self) -> None:
+        if self.atmosphere != "none" and self.quantity == "relative":
+            raise InputError(
+                f"--atmosphere {self.atmosphere}: found --quantity relative, expected a reflectance to take air off"
+            )
 
 
 __all__ = ["NormaliseOptions"]

@@ -18,7 +18,7 @@ from sattools.fit.combinations import step_bytes
 from sattools.fit.options import FitOptions
 from sattools.fit.presets import resolve
 from sattools.fit.rays import job as rays_job
-from sattools.fit.rays.precision import check_precision, multiplied
+from sattools.fit.rays.precision import check_precision, multiplied, warn_of_precision
 from sattools.fit.rays.trainer import RayTrainer
 from sattools.fit.stage import fit
 from sattools.scene import Scene
@@ -171,8 +171,8 @@ def test_that_a_cpu_without_amx_is_slower_is_told(
 ) -> None:
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: can, raising=False)
     with caplog.at_level(logging.WARNING):
-        check_precision(resolve("eonerf", {"precision": "bf16"}), CPU)
-        check_precision(resolve("eonerf", {}), CPU)
+        warn_of_precision(resolve("eonerf", {"precision": "bf16"}), CPU)
+        warn_of_precision(resolve("eonerf", {}), CPU)
     assert [r.getMessage() for r in caplog.records] == [
         "--precision bf16: found a CPU without AMX for it, where it takes longer than float32"
     ] * lines

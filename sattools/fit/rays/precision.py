@@ -20,18 +20,22 @@ TF32_SINCE = (8, 0)  # compute capability of the first cards with tensor cores f
 
 
 def check_precision(options: FitOptions, device: torch.device) -> None:
-    """Raise SceneError for TF32 where there is none; warn of a device that multiplies no faster so.
+    """Raise SceneError for TF32 where there is none.
 
     Args:
         options: of the fit.
         device: where the field is trained.
     """
-    if options.precision == "float32" or options.field != "mlp":  # of others it is told that it does nothing
-        return
-    if options.precision == "tf32" and device.type != "cuda":
+    if options.precision == "tf32" and options.field == "mlp" and device.type != "cuda":
         raise SceneError(
             "--precision tf32: found a training on the CPU, which has none, expected a CUDA device (or bf16, float32)"
         )
+
+
+def warn_of_precision(options: FitOptions, device: torch.device) -> None:
+    """Warn of a device that multiplies no faster in the precision asked for; arguments as of `check_precision`."""
+    if options.precision == "float32" or options.field != "mlp":  # of others it is told that it does nothing
+        return
     if device.type == "cuda":
         if torch.cuda.get_device_capability(device) < TF32_SINCE:
             log.warning("--precision %s: this GPU has no units for it, float32 is as fast", options.precision)
@@ -90,4 +94,4 @@ def _tf32() -> Iterator[None]:
         torch.set_float32_matmul_precision(former)
 
 
-__all__ = ["check_precision", "multiplied"]
+__all__ = ["check_precision", "multiplied", "warn_of_precision"]
