@@ -50,6 +50,7 @@ docs: dev $(VENV)/.installed-docs ## write docs/commands.md from the commands' h
 
 qgis-zip: ## pack the QGIS plugin for "install from zip"
 	rm -f dist/sattools_qgis.zip && mkdir -p dist
+	find qgis_plugin -name __pycache__ -type d -prune -exec rm -rf {} +  # plugins.qgis.org refuses a zip with one
 	cd qgis_plugin && $(PYTHON) -m zipfile -c ../dist/sattools_qgis.zip sattools_qgis
 
 qgis-install: ## copy the QGIS plugin into the profile (QGIS_PROFILE), from where QGIS loads it

@@ -51,25 +51,24 @@ PLAIN = {
     "change": ("polygons", "register", "min-height", "min-area", "out"),
     "simulate": ("terrain", "size", "views", "dates", "id", "out"),
 }
-# what a form has no field for: scores of something else than the scene that it is given
-ASIDE = {"compare": ("predicted", "fit", "out")}
+# what a form has no field for: other inputs than the images or the scene that it asks for
+ASIDE = {"prep": ("dfc2019",), "compare": ("predicted", "fit", "out")}
 # a source makes a scene below --out, all others work on the scene document that they are given
 SOURCES = ("prep", "simulate")
 KINDS = {
     "metadata": "folder",
     "truth": "folder",
     "out": "folder",
-    "dfc2019": "folder",
     "colours": "folder",
     "bounds": "extent",
     "crs": "crs",
 }
-KINDS |= dict.fromkeys(("dsm", "classes", "predicted", "reference"), "raster")
-KINDS |= dict.fromkeys(("aoi", "polygons"), "polygons") | {"mask": "several polygons", "points": "file", "to": "file"}
+KINDS.update(dict.fromkeys(("dsm", "classes", "predicted", "reference"), "raster"))
+KINDS.update({"aoi": "polygons", "polygons": "polygons", "mask": "several polygons", "points": "file", "to": "file"})
 PRODUCTS = ("laz", "ply", "contours", "dtm", "ortho", "mesh", "obj", "tiles")  # of `export --products`
 QUOTES = " Several with blanks between them, in double quotes what holds blanks itself."
 ABBREVIATIONS = {"Dsm": "DSM", "Aoi": "Area of interest", "Crs": "CRS", "Id": "Name of the scene", "Brdf": "BRDF"}
-ABBREVIATIONS |= {"Bounds": "Extent", "Out": "Folder for the scene", "Dfc2019": "DFC 2019 folder", "To": "Reference"}
+ABBREVIATIONS.update({"Bounds": "Extent", "Out": "Folder for the scene", "To": "Reference"})
 
 
 def key(flag: Any) -> Any:
@@ -96,6 +95,11 @@ def kind_of(option: Any, name: Any) -> Any:
         return "list"
     # a field for numbers takes no word such as auto
     return "text" if option["kind"] == "str" or option.get("words") else option["kind"]
+
+
+def paragraphs(text: Any) -> Any:
+    """A command's help with one line a paragraph: QGIS takes every line for one."""
+    return "\n".join(" ".join(part.split()) for part in text.split("\n\n"))
 
 
 def fields(name: Any, command: Any) -> Any:

@@ -4,6 +4,7 @@
 import json
 import os
 import queue
+import shlex
 import shutil
 import signal
 import subprocess
@@ -14,6 +15,7 @@ from typing import Any
 FOREIGN = ("PYTHON", "QT_", "GDAL_", "PROJ_", "LD_")
 PATIENCE_S = 10.0
 POLL_S = 0.1
+NEW_GROUP, NO_WINDOW = 0x00000200, 0x08000000  # of Windows; without the second a console opens above QGIS
 OWN = (
     "python3 -m venv ~/sattools && ~/sattools/bin/pip install sattools"
     if os.name == "posix"
@@ -36,7 +38,8 @@ class Cancelled(Exception):
 def find_executable(setting: Any = "") -> Any:
     """Path of the executable: the setting, else the one on PATH; None if there is neither."""
     if setting:
-        return setting if os.access(setting, os.X_OK) and os.path.isfile(setting) else None
+        path = os.path.expanduser(setting)
+        return path if os.access(path, os.X_OK) and os.path.isfile(path) else None
     return shutil.which("sattools")
 
 
@@ -45,12 +48,22 @@ def clean_environment(environment: Any) -> Any:
     return {k: v for k, v in environment.items() if not k.startswith(FOREIGN)}
 
 
+def apart(system: Any = os.name) -> Any:
+    """What `subprocess` is told so that a program runs in a group of its own, and on Windows without a console."""
+    return {"start_new_session": True} if system == "posix" else {"creationflags": NEW_GROUP | NO_WINDOW}
+
+
+def as_typed(arguments: Any) -> Any:
+    """A command as one line that a shell takes, whatever blanks its paths hold."""
+    return shlex.join(arguments) if os.name == "posix" else subprocess.list2cmdline(arguments)
+
+
 def usage_of(executable: Any) -> Any:
     """The command line's description of itself (`sattools --json-usage`)."""
     try:
         done = subprocess.run(
             [executable, "--json-usage"], check=True, capture_output=True, text=True, timeout=60,
-            env=clean_environment(os.environ),
+            env=clean_environment(os.environ), **apart(),
         )  # fmt: skip
         return json.loads(done.stdout)
     except (OSError, subprocess.SubprocessError, ValueError) as error:
@@ -73,10 +86,9 @@ def run(arguments: Any, on_progress: Any, on_line: Any, is_cancelled: Any) -> An
         CommandFailed: exit code other than 0.
         Cancelled: after the whole process group has ended.
     """
-    group = {"start_new_session": True} if os.name == "posix" else {"creationflags": 0x00000200}
     process = subprocess.Popen(
         arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        encoding="utf-8", errors="replace", env=clean_environment(os.environ), **group,
+        encoding="utf-8", errors="replace", env=clean_environment(os.environ), **apart(),
     )  # fmt: skip
     lines, output = queue.Queue(), []
     readers = [

@@ -2,10 +2,12 @@
 
 import json
 import os
+import shutil
 import stat
 import subprocess
 import sys
 import time
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -47,9 +49,14 @@ def test_a_form_left_at_its_defaults_replaces_results_but_no_scene_and_adds_noth
 @pytest.mark.parametrize("name", list(forms.ALGORITHMS))
 def test_every_option_that_goes_with_a_scene_reaches_the_command_line(name: Any) -> None:
     fields = forms.fields(name, USAGE["commands"][name])
-    aside = {"--predicted", "--fit", "--out"} if name == "compare" else set()
+    aside = {"compare": {"--predicted", "--fit", "--out"}, "prep": {"--dfc2019"}}.get(name, set())
     assert {f["flag"] for f in fields} == {o["name"] for o in USAGE["commands"][name]["options"]} - aside
     assert len({f["key"] for f in fields}) == len(fields)
+
+
+def test_a_paragraph_of_help_is_one_line() -> None:
+    assert forms.paragraphs("Says\nwhat.\n\nAnd\n  how.") == "Says what.\nAnd how."
+    assert max(forms.paragraphs(c["help"]).count("\n") for c in USAGE["commands"].values()) < 4
 
 
 def test_values_become_arguments() -> None:
@@ -146,10 +153,40 @@ def test_the_plugins_metadata_has_no_placeholders() -> None:
     assert {"name", "version", "description", "qgisMinimumVersion"} <= {line.split("=")[0] for line in text.split("\n")}
 
 
+def test_the_zip_for_qgis_holds_no_compiled_files(tmp_path: Path) -> None:
+    root = Path(forms.__file__).parents[2]
+    shutil.copytree(root / "qgis_plugin", tmp_path / "qgis_plugin")
+    shutil.copy(root / "Makefile", tmp_path)
+    for folder in ("sattools_qgis", "sattools_qgis/processing"):
+        (tmp_path / "qgis_plugin" / folder / "__pycache__").mkdir(exist_ok=True)
+        (tmp_path / "qgis_plugin" / folder / "__pycache__" / "forms.cpython-312.pyc").touch()
+    subprocess.run(["make", "-s", "qgis-zip", f"PYTHON={sys.executable}"], cwd=tmp_path, check=True)
+    names = zipfile.ZipFile(tmp_path / "dist" / "sattools_qgis.zip").namelist()
+    assert "sattools_qgis/metadata.txt" in names
+    assert [name for name in names if "__pycache__" in name] == []
+
+
 def test_the_environment_of_qgis_stays_with_qgis() -> None:
     own = {"PATH": "/bin", "HOME": "/h", "LANG": "C"}
     foreign = {"PYTHONPATH": "x", "QT_PLUGIN_PATH": "x", "GDAL_DATA": "x", "PROJ_LIB": "x", "LD_LIBRARY_PATH": "x"}
     assert runner.clean_environment(own | foreign) == own
+
+
+def test_a_home_in_the_setting_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The way to install that is told has one."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert runner.find_executable("~/program") is None
+    path = script(tmp_path, "")
+    assert runner.find_executable("~/program") == path
+
+
+def test_windows_opens_no_console_above_qgis() -> None:
+    assert runner.apart("nt") == {"creationflags": 0x08000200}  # CREATE_NO_WINDOW, CREATE_NEW_PROCESS_GROUP
+    assert runner.apart("posix") == {"start_new_session": True}
+
+
+def test_a_command_is_told_as_a_shell_takes_it() -> None:
+    assert runner.as_typed(["/my programs/sattools", "fit", "a.json"]) == "'/my programs/sattools' fit a.json"
 
 
 def test_progress_lines_are_told_apart_from_messages(tmp_path: Path) -> None:

@@ -98,6 +98,17 @@ def test_nothing_that_3_40_marks_as_deprecated_is_called() -> None:
     assert used()[2] & DEPRECATED == set()
 
 
+def test_nothing_is_asked_of_python_that_3_8_lacks() -> None:
+    """QGIS 3.22 comes with Python 3.8 on macOS and Ubuntu 20.04, which unites no dictionaries by an operator."""
+    numbers = ("flags()", "NEW_GROUP")
+    for path in PLUGIN.rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"), feature_version=(3, 8))
+        united = [n for n in ast.walk(tree) if isinstance(n, ast.AugAssign | ast.BinOp) and isinstance(n.op, ast.BitOr)]
+        texts = [ast.unparse(node) for node in united]
+        assert [(path.name, text) for text in texts if not any(name in text for name in numbers)] == []
+    assert used()[2] & {"removeprefix", "removesuffix"} == set()
+
+
 def test_the_plugin_names_the_oldest_version_it_was_looked_up_for() -> None:
     assert f"qgisMinimumVersion={OLDEST}" in (PLUGIN / "metadata.txt").read_text()
 

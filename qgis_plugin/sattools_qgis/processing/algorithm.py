@@ -12,7 +12,7 @@ from qgis.core import (
     QgsProcessingParameterFile,
 )
 
-from ..forms import ALGORITHMS, SOURCES, arguments, fields, products, read_scene, scene_of
+from ..forms import ALGORITHMS, SOURCES, arguments, fields, paragraphs, products, read_scene, scene_of
 from .base import VECTORS, Base
 from .parameters import images_parameter, parameter_of, read
 
@@ -40,7 +40,7 @@ class CommandAlgorithm(Base):
         return ALGORITHMS[self.command][1]
 
     def shortHelpString(self) -> Any:
-        return self.usage["help"]
+        return paragraphs(self.usage["help"])
 
     def initAlgorithm(self, config: Any = None) -> None:
         if self.command == "prep":
@@ -81,5 +81,5 @@ class CommandAlgorithm(Base):
         if self.command == "prep":
             found = {"footprints": scene_path, **found}
         self.load(found, context, scene["id"])
-        results |= {name.upper(): path for name, path in found.items() if name not in VECTORS}
+        results.update({name.upper(): path for name, path in found.items() if name not in VECTORS})
         return {"SCENE_DOCUMENT": scene_path, **results}

@@ -13,7 +13,7 @@ from qgis.core import (
 )
 from qgis.PyQt.QtGui import QIcon
 
-from ..runner import Cancelled, CommandFailed, run
+from ..runner import Cancelled, CommandFailed, as_typed, run
 from .styles import styler
 
 VECTORS = ("footprints", "tie_points", "contours", "changes")  # products that are no rasters
@@ -38,7 +38,7 @@ class Base(QgsProcessingAlgorithm):
         Raises QgsProcessingException with the command's last line.
         """
         whole = [self.executable, "--progress", "json", *arguments]
-        feedback.pushCommandInfo(" ".join(whole))
+        feedback.pushCommandInfo(as_typed(whole))
         said = set()
 
         def on_progress(share: Any, message: Any) -> None:

@@ -61,10 +61,11 @@ class SattoolsProvider(QgsProcessingProvider):
 
     def loadAlgorithms(self) -> None:
         self.problem = ""
-        path = self.executable()
+        path, setting = self.executable(), ProcessingConfig.getSetting(SETTING)
         if path is None:
-            self._complain(INSTALL)
-            self.addAlgorithm(SetUpAlgorithm(INSTALL))
+            problem = f"{setting}: is no executable file; {INSTALL}" if setting else INSTALL
+            self._complain(problem)
+            self.addAlgorithm(SetUpAlgorithm(problem))
             return
         try:
             self.usage = usage_of(path)

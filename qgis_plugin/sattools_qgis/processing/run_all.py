@@ -20,7 +20,7 @@ ASKED = {
     "compare": ("dsm", "classes"),
 }
 LABELS = {"cell-size": "Resolution (cell size) [m]", "vertical": "Vertical datum", "dsm": "Reference DSM"}
-LABELS |= {"classes": "Class map of the reference", "budget": "Budget of the fit [s]"}
+LABELS.update({"classes": "Class map of the reference", "budget": "Budget of the fit [s]"})
 ADVANCED = ("mask", "preset", "tile", "budget", "classes")
 
 
@@ -84,7 +84,7 @@ class RunAllAlgorithm(Base):
         scene = read_scene(path)
         found = products(scene, (*ALGORITHMS["prep"][2], *ALGORITHMS["export"][2], "difference"))
         self.load({"footprints": path, **found}, context, scene["id"])
-        results |= {name.upper(): file for name, file in found.items() if name not in VECTORS}
+        results.update({name.upper(): file for name, file in found.items() if name not in VECTORS})
         return {"SCENE_DOCUMENT": path, **results}
 
 
@@ -94,6 +94,6 @@ def asked(step: Any, command: Any) -> Any:
     for field in fields(step, command):
         name = field["flag"].lstrip("-")
         if name in ASKED[step]:
-            field |= {"label": LABELS.get(name, field["label"]), "advanced": name in ADVANCED}
+            field.update({"label": LABELS.get(name, field["label"]), "advanced": name in ADVANCED})
             found.append(field)
     return found

@@ -50,7 +50,7 @@ RAMPS = {
     "identifiable": ("Cividis", 0.0, 1.0),
     "lambert_share": ("Cividis", 0.0, 1.0),
 }
-RAMPS |= {f"{name}_std": ("Magma", 0.0, None) for name in (*PARAMETERS, "normal")}
+RAMPS.update({f"{name}_std": ("Magma", 0.0, None) for name in (*PARAMETERS, "normal")})
 SURFACES = ("dsm", "dtm", "prior_dsm")
 COLOURS = ("albedo", "ortho", "reflectance", "relit", "normal")
 VALIDITY = (
