@@ -133,11 +133,13 @@ def _progress(line: Any) -> Any:
         return None
 
 
-def _end(process: Any) -> None:
+def _end(process: Any, system: Any = os.name) -> None:
     """Make sure that nothing of the command is left."""
     if process.poll() is not None:
         return
-    if os.name != "posix":
+    if system != "posix":
+        # there the executable is a launcher, and what it started would go on without it
+        subprocess.run(["taskkill", "/F", "/T", "/PID", str(process.pid)], capture_output=True, **apart(system))
         process.terminate()
         process.wait(PATIENCE_S)
         return

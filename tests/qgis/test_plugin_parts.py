@@ -223,6 +223,26 @@ def test_cancelling_ends_the_whole_process_group(tmp_path: Path) -> None:
     assert state == "" or state.startswith("Z")
 
 
+def test_windows_is_asked_to_end_what_the_launcher_has_started_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    class Process:
+        pid = 77
+
+        def poll(self) -> Any:
+            return None
+
+        def terminate(self) -> None:
+            calls.append("terminate")
+
+        def wait(self, seconds: float) -> None:
+            calls.append("wait")
+
+    monkeypatch.setattr(subprocess, "run", lambda command, **_: calls.append(command))
+    runner._end(Process(), "nt")
+    assert calls == [["taskkill", "/F", "/T", "/PID", "77"], "terminate", "wait"]
+
+
 def test_a_missing_executable_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     assert runner.find_executable() is None
