@@ -46,7 +46,7 @@ def height_errors(
     in `measured`; `filled` has those of all counted cells with holes filled from `filled` (default: the nearest
     predicted cell), `mae_filled` their mean. With `cell_size`, errors beside steps and away from them (about the
     median of all cells, also by class) and errors by the slope of the reference (`slopes`: `from_deg`, `to_deg`,
-    `mae`, `median`, `n`). Raises InputError where nothing can be compared.
+    `mae`, `median`, `n`). Raises InputError where shapes differ or nothing can be compared.
 
     Args:
         predicted: ``[H, W]`` heights [m]; NaN = none.
@@ -56,8 +56,10 @@ def height_errors(
         measured: ``[H, W]`` bool, cells that images show; None = all.
         cell_size: edge of a cell [m], for what lies beside steps and for slopes; None = without.
     """
-    if classes is not None and classes.shape != reference.shape:
-        raise InputError(f"class map: found shape {classes.shape}, expected {reference.shape}")
+    given = {"prediction": predicted, "class map": classes, "filled prediction": filled, "measured cells": measured}
+    for name, array in given.items():
+        if array is not None and array.shape != reference.shape:
+            raise InputError(f"{name}: found shape {array.shape}, expected {reference.shape}")
     counted = np.isfinite(reference) if classes is None else np.isfinite(reference) & (classes != WATER)
     scored = np.where(counted, reference, np.nan).astype(np.float32)
     complete = fill_holes(np.asarray(predicted if filled is None else filled, np.float32))

@@ -193,9 +193,16 @@ def image_errors(
         valid: ``[H, W]`` bool, pixels that count; None = all.
         peak: largest value.
         weights: files with those of LPIPS, see `sattools.compare.perceptual.lpips`.
+
+    Raises:
+        InputError: other shapes, or no valid pixel.
     """
     if image.shape != reference.shape:
         raise InputError(f"image: found shape {image.shape}, expected {reference.shape}")
+    if image.ndim != 3:
+        raise InputError(f"image: found shape {image.shape}, expected bands, rows and columns")
+    if valid is not None and valid.shape != image.shape[1:]:
+        raise InputError(f"valid pixels: found shape {valid.shape}, expected {image.shape[1:]}")
     ok = np.isfinite(image).all(axis=0) & np.isfinite(reference).all(axis=0)
     if valid is not None:
         ok &= valid

@@ -70,7 +70,7 @@ def compare_dsm(
         measured: [H, W] bool, cells of the DSM that images really show; None = all that have a height.
 
     Raises:
-        InputError: nothing can be compared.
+        InputError: an array that is not of its grid's shape, or nothing can be compared.
     """
     if isinstance(predicted, np.ndarray):
         if grid is None:

@@ -65,6 +65,11 @@ class HeldSurface:
     measured: np.ndarray | None = None
     name: str = "prediction"
 
+    def __post_init__(self) -> None:
+        for what, array in ((self.name, self.heights), ("measured cells", self.measured)):
+            if array is not None and array.shape != self.grid.shape:
+                raise InputError(f"{what}: found shape {array.shape}, expected {self.grid.shape} as the grid has")
+
     def on(self, where: Grid) -> tuple[np.ndarray, np.ndarray | None]:
         """See `Surface`."""
         found = window_around(self.grid, where)

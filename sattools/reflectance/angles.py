@@ -131,10 +131,12 @@ def as_tensors(normal: Tensor, sun: Tensor, view: Tensor, *parameters: Tensor | 
         *parameters: of a model.
 
     Raises:
-        TypeError: the type is neither float32 nor float64.
+        TypeError: a direction is no tensor, or the type is neither float32 nor float64.
         ValueError: a direction does not end in an axis of 3.
     """
     for name, vector in (("normal", normal), ("sun", sun), ("view", view)):
+        if not isinstance(vector, Tensor):
+            raise TypeError(f"{name}: found {type(vector).__name__}, expected a tensor or an array")
         if vector.ndim == 0 or vector.shape[-1] != 3:
             raise ValueError(f"{name}: found shape {tuple(vector.shape)}, expected [..., 3]")
     values = (normal, sun, view, *parameters)

@@ -25,7 +25,7 @@ def render(
     """Composite a view of the surface; differentiable in height and colour.
 
     Args:
-        height: ``[H, W]`` float32 [m], row 0 = north.
+        height: ``[H, W]`` float32 [m], row 0 = north; all finite.
         colour: ``[H, W, C]`` float32, the radiance that leaves each cell towards this view.
         rays: parallel rays, one per cell.
         quadrature: softness and sampling.
@@ -34,7 +34,17 @@ def render(
 
     Returns:
         rgb ``[H, W, C]``, depth ``[H, W]`` [m] (sum of weight times height), opacity ``[H, W]``.
+
+    Raises:
+        ValueError: maps of other shapes.
     """
+    if height.ndim != 2 or colour.ndim != 3 or colour.shape[:2] != height.shape:
+        raise ValueError(
+            f"colour: found shape {tuple(colour.shape)} with heights {tuple(height.shape)}, expected "
+            "[H, W, C] with [H, W]"
+        )
+    if mask is not None and mask.shape != height.shape:
+        raise ValueError(f"mask: found shape {tuple(mask.shape)}, expected {tuple(height.shape)}")
     if height.device.type != "cpu":
         outputs = render_planes(height, colour, rays, quadrature, cell_size)
         if mask is None:

@@ -23,7 +23,7 @@ def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, 
     of which a part may be lit, and of the sun's radius at the caster's distance.
 
     Args:
-        height: ``[H, W]`` heights [m], row 0 = north.
+        height: ``[H, W]`` heights [m], row 0 = north; what is not finite counts as the lowest of them.
         cell_size: [m].
         sun: unit vector (east, north, up) from the ground to the sun.
 

@@ -39,8 +39,9 @@ class Grid:
     height: int
 
     def __post_init__(self) -> None:
-        if not (self.cell_size > 0 and math.isfinite(self.cell_size)):
-            raise SceneError(f"grid: found cell size {self.cell_size}, expected a positive number of metres")
+        _check_cell(self.cell_size)
+        if not (math.isfinite(self.left) and math.isfinite(self.top)):
+            raise SceneError(f"grid: found its corner at {self.left}, {self.top}, expected finite numbers of metres")
         if self.width < 1 or self.height < 1:
             raise SceneError(f"grid: found {self.width} x {self.height} cells, expected at least 1 x 1")
 
@@ -52,7 +53,11 @@ class Grid:
             crs: projected ground CRS [m].
             bounds: (west, south, east, north) [m].
             cell_size: edge of a cell [m].
+
+        Raises:
+            SceneError: bounds the wrong way round, or a cell size that is none.
         """
+        _check_cell(cell_size)
         west, south, east, north = bounds
         if not (east > west and north > south):
             raise SceneError(f"grid: found bounds {bounds}, expected west < east and south < north")
@@ -98,13 +103,14 @@ class Grid:
         return self.top - (np.arange(self.height) + 0.5) * self.cell_size
 
     def resized(self, cell_size: float) -> Grid:
-        """The same upper left corner with another cell size, covering at least the same area."""
+        """The same upper left corner with another cell size [m], covering at least the same area."""
+        _check_cell(cell_size)
         width = math.ceil(self.width * self.cell_size / cell_size - 1e-6)
         height = math.ceil(self.height * self.cell_size / cell_size - 1e-6)
         return replace(self, cell_size=cell_size, width=max(1, width), height=max(1, height))
 
     def part(self, rows: slice, cols: slice) -> Grid:
-        """The cells of these rows and columns."""
+        """The cells of these rows and columns, slices with both ends, which may lie beyond the grid."""
         return replace(
             self,
             left=self.left + cols.start * self.cell_size,
@@ -154,6 +160,11 @@ class Grid:
             )
         except (KeyError, TypeError, ValueError) as error:
             raise SceneError(f"grid: found {dict(data)}, expected crs, left, top, cell_size, width, height") from error
+
+
+def _check_cell(cell_size: float) -> None:
+    if not (cell_size > 0 and math.isfinite(cell_size)):
+        raise SceneError(f"grid: found cell size {cell_size}, expected a positive number of metres")
 
 
 def default_cell_size(gsd: float) -> float:

@@ -216,3 +216,17 @@ def test_pixels_without_a_value_are_not_scored() -> None:
 def test_errors_are_not_told_as_shares_of_a_mean_below_zero() -> None:
     figures = map_errors(np.array([0.2, 0.4, 0.6]), np.array([0.2, 0.4, -9999.0]))
     assert (figures["nrmse"], figures["nrmse_constant"], figures["nrmse_scaled"]) == (None, None, None)
+
+
+@pytest.mark.parametrize("name", ["predicted", "classes", "filled", "measured"])
+def test_heights_of_other_shapes_are_told(name: str) -> None:
+    given = {"predicted": np.ones((3, 4)), name: np.ones((2, 4))}
+    with pytest.raises(InputError, match=r"found shape \(2, 4\), expected \(3, 4\)"):
+        height_errors(reference=np.zeros((3, 4)), **given)
+
+
+def test_an_image_has_bands_rows_and_columns() -> None:
+    with pytest.raises(InputError, match=r"found shape \(20, 30\), expected bands, rows and columns"):
+        image_errors(np.ones((20, 30)), np.zeros((20, 30)))
+    with pytest.raises(InputError, match=r"valid pixels: found shape \(30, 20\), expected \(20, 30\)"):
+        image_errors(np.ones((3, 20, 30)), np.zeros((3, 20, 30)), np.ones((30, 20), bool))

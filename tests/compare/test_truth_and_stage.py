@@ -327,3 +327,13 @@ def test_lidar_of_jax_068_is_read(data_dir: Any) -> None:
     assert not scored[:, 256:].any()
     assert (np.nanmin(truth.heights), np.nanmax(truth.heights)) == pytest.approx((-21.95, 29.22), abs=0.01)
     assert set(np.unique(truth.classes)) == {2, 5, 6, 65}
+
+
+def test_an_array_that_is_not_of_its_grids_shape_is_told() -> None:
+    """It would be scored in another place, or as one with a hole."""
+    grid = Grid("EPSG:32617", 440000.0, 3350000.0, 1.0, 30, 20)
+    truth = Truth("a", "dsm", grid, np.zeros(grid.shape, np.float32))
+    with pytest.raises(InputError, match=r"prediction: found shape \(19, 30\), expected \(20, 30\) as the grid has"):
+        compare_dsm(np.zeros((19, 30)), truth, grid)
+    with pytest.raises(InputError, match=r"measured cells: found shape \(20, 1\), expected \(20, 30\)"):
+        compare_dsm(np.zeros((20, 30)), truth, grid, measured=np.ones((20, 1), bool))

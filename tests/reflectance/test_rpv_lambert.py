@@ -78,3 +78,8 @@ def test_other_types_and_shapes_are_refused(directions: Any) -> None:
         lambert(*[x.half() for x in vectors], 0.5)
     with pytest.raises(ValueError, match=r"sun: found shape \(2,\), expected \[..., 3\]"):
         hapke(vectors[0], vectors[1][:2], vectors[2], 0.5, 0.3, 0.4, 20.0)
+
+
+def test_a_direction_that_is_a_list_is_told() -> None:
+    with pytest.raises(TypeError, match="sun: found list, expected a tensor or an array"):
+        lambert(torch.tensor([0.0, 0.0, 1.0]), [0.0, 0.0, 1.0], torch.tensor([0.0, 0.0, 1.0]), 0.5)

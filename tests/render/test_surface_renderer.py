@@ -188,3 +188,14 @@ def test_the_number_of_threads_does_not_change_the_picture() -> None:
     finally:
         torch.set_num_threads(before)
     assert torch.equal(*pictures)
+
+
+@pytest.mark.parametrize(
+    ("colour", "mask", "what"),
+    [((9, 20, 3), (10, 20), "colour"), ((10, 20), (10, 20), "colour"), ((10, 20, 3), (10, 19), "mask")],
+)
+def test_maps_of_other_shapes_are_told(colour: Any, mask: Any, what: str) -> None:
+    """Kernels would read beyond them."""
+    maps = torch.zeros(10, 20), torch.zeros(colour)
+    with pytest.raises(ValueError, match=f"{what}: found shape"):
+        render(*maps, vertical(), Quadrature(0.5, 0.5, 5.0, -5.0), 1.0, torch.ones(mask, dtype=torch.uint8))

@@ -107,3 +107,15 @@ def test_a_missing_member_is_refused() -> None:
     del data["top"]
     with pytest.raises(SceneError, match="expected crs, left, top"):
         Grid.from_dict(data)
+
+
+@pytest.mark.parametrize("size", [0, -1.0, float("nan"), float("inf")])
+def test_a_cell_has_a_size(size: float) -> None:
+    for make in (GRID.resized, lambda s: Grid.from_bounds("EPSG:32617", (0, 0, 9, 9), s)):
+        with pytest.raises(SceneError, match=rf"found cell size {size}, expected a positive number of metres"):
+            make(size)
+
+
+def test_a_grid_lies_somewhere() -> None:
+    with pytest.raises(SceneError, match=r"found its corner at nan, 5000\.0, expected finite numbers of metres"):
+        Grid("EPSG:32617", float("nan"), 5000.0, 0.5, 8, 4)
