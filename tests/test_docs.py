@@ -22,6 +22,13 @@ def test_links_between_pages_lead_to_files(page: Any) -> None:
     assert missing == []
 
 
+def test_the_page_of_the_scene_document_names_all_that_an_image_has(make_town: Any) -> None:
+    text = (ROOT / "docs" / "scene.md").read_text(encoding="utf-8")
+    table = {name for line in text.splitlines() for name in re.findall(r"`([^`]+)`", line.split(" | ")[0])}
+    for item in make_town().items:
+        assert {*item.properties, *item.assets} - table == set()
+
+
 def test_every_benchmark_that_can_be_run_is_named_on_a_page() -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     scripts = [p for p in sorted((ROOT / "benchmarks").glob("*.py")) if "__main__" in p.read_text(encoding="utf-8")]
