@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import threading
+from contextlib import suppress
 from typing import Any
 
 # QGIS brings its own Python, Qt, GDAL and PROJ; a program with other versions of them must not inherit the paths
@@ -139,7 +140,8 @@ def _end(process: Any, system: Any = os.name) -> None:
         return
     if system != "posix":
         # there the executable is a launcher, and what it started would go on without it
-        subprocess.run(["taskkill", "/F", "/T", "/PID", str(process.pid)], capture_output=True, **apart(system))
+        with suppress(OSError):
+            subprocess.run(["taskkill", "/F", "/T", "/PID", str(process.pid)], capture_output=True, **apart(system))
         process.terminate()
         process.wait(PATIENCE_S)
         return
