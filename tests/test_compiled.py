@@ -161,16 +161,12 @@ def test_without_any_folder_kernels_are_compiled_for_this_run(container: Any) ->
     assert subprocess.run(call, env=container, cwd=site, capture_output=True).returncode == 0
 
 
-def _counting(pieces: int = 100) -> tuple[Any, np.ndarray]:
-    """A kernel that counts how often each piece is done."""
-
-    @compiled.spread(lambda times: len(times))
-    @compiled.njit(nogil=True)
-    def count(times: Any, first: int, end: int) -> None:
-        for piece in range(first, end):
-            times[piece] += 1
-
-    return count, np.zeros(pieces, np.int64)
+@compiled.spread(lambda times: len(times))
+@compiled.njit(nogil=True)
+def count(times: Any, first: int, end: int) -> None:
+    """Count how often each piece is done."""
+    for piece in range(first, end):
+        times[piece] += 1
 
 
 @pytest.mark.parametrize("threads", [1, 2, 7])
@@ -179,7 +175,7 @@ def test_every_piece_is_done_once_by_any_number_of_threads(
     threads: int, pieces: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compiled, "MOST_THREADS", threads)
-    count, times = _counting(pieces)
+    times = np.zeros(pieces, np.int64)
     count(times)
     assert (times == 1).all()
 
@@ -219,7 +215,7 @@ def test_kernels_that_call_for_more_threads_from_a_thread_do_not_wait_for_each_o
 ) -> None:
     monkeypatch.setattr(compiled, "MOST_THREADS", 2)
     monkeypatch.setattr(helpers, "_begin", lambda threads: None)  # no more of them than there are
-    count, times = _counting()
+    times = np.zeros(100, np.int64)
     compiled.at_once(*[lambda: count(times[:50]), lambda: count(times[50:])])
     assert (times == 1).all()
 
@@ -246,7 +242,7 @@ def test_threads_that_wait_keep_nothing_of_what_they_worked_on(monkeypatch: pyte
 
 def test_a_forked_child_has_threads_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiled, "MOST_THREADS", 2)
-    count, times = _counting()
+    times = np.zeros(100, np.int64)
     count(times)
     child = os.fork()
     if child == 0:

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 import torch
+from in_tiles import TILED
 from patience import HANGING_S
 from towns import copied
 
@@ -27,7 +28,6 @@ from sattools.fit.tiles import crew, helper
 from sattools.fit.tiles import plan as tile_plan
 from sattools.scene import Scene
 
-TILED = FitOptions(resolution=1.0, epochs=[8], tile=16.0, overlap=4.0)
 Towns = Callable[[str], Scene]
 
 
@@ -112,13 +112,13 @@ def test_a_lost_process_costs_its_tile_only(
 
 
 def test_a_tile_whose_processes_are_always_lost_ends_the_fit(
-    make_matched_hamlet: Towns, started: list[subprocess.Popen], monkeypatch: pytest.MonkeyPatch
+    make_matched_row: Towns, started: list[subprocess.Popen], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tile_plan, "side_by_side", lambda scene, options, tiles: 2)
-    scene = make_matched_hamlet("ALWAYS")
+    scene = make_matched_row("ALWAYS")
 
     def kill(fraction: float, message: str) -> None:
-        if message.startswith("tile 1 of 4"):
+        if message.startswith("tile 1 of 2"):
             for process in started:
                 process.send_signal(signal.SIGKILL)
 
@@ -145,10 +145,8 @@ def test_an_interrupt_ends_all_processes_and_resume_goes_on(
     assert equal(model(scene), expected)
 
 
-def test_an_error_in_a_process_is_that_of_the_command(
-    make_matched_hamlet: Towns, started: list[subprocess.Popen]
-) -> None:
-    scene = make_matched_hamlet("BROKEN")
+def test_an_error_in_a_process_is_that_of_the_command(make_matched_row: Towns, started: list[subprocess.Popen]) -> None:
+    scene = make_matched_row("BROKEN")
     fit(scene, replace(TILED, part="split"))
     path = scene.root / "fit/tiles/r0c1/scene.json"
     part = json.loads(path.read_text())
