@@ -132,6 +132,36 @@ def test_a_rim_is_lowered_only_where_views_from_outside_see_the_ground_in_the_su
     assert (northern_rim == (10.0 if stays else 0.0)).all()
 
 
+@pytest.mark.parametrize(
+    ("foot", "sun", "few", "rim"),
+    [
+        (0.2, None, False, [False, False]),  # they see ground where the rim should stand
+        (0.8, None, False, [True, True]),  # they see no ground there
+        (0.2, NORTH, False, [False, False]),
+        (0.8, SOUTH, False, [False, True]),  # ground in shadow, perhaps: as if nobody saw it
+        (0.8, SOUTH, True, [True, True]),  # so few views have to do with the ground in shadow, too
+    ],
+)
+def test_where_the_edge_is_faint_views_of_the_foot_say_whether_ground_is_there(
+    roof: Any, foot: Any, sun: Any, few: Any, rim: Any
+) -> None:
+    image, true = roof
+    wide = true.copy()
+    wide[8:32, 8:32] = 10.0
+    margin = 10
+    above = np.pad(image, margin, mode="edge")
+    oblique = np.roll(above, 8, axis=0)  # from the north, as above, with a wall as bright as the roof
+    oblique[margin + 10 : margin + 18, margin + 10 : margin + 30] = 0.8
+    oblique[margin + 8 : margin + 10, margin + 10 : margin + 30] = foot
+    above[margin + 8 : margin + 10, margin + 10 : margin + 30] = 0.43  # a little more like ground than like roof
+    images = np.stack([above] * 3 + [oblique] * 3).astype(np.float32)
+    slopes = np.array([[0.0, 0.0]] * 3 + [[0.8, 0.0]] * 3)
+    frame = Frame(images, np.ones(images.shape, np.uint8), slopes, 0.0, 0.5, margin, (sun,) * 6)
+    # of that likeness of -0.2 it takes 0.15 to lower the outer cell and 0.45 to lower the inner one
+    found = snap_edges(frame, unseen(frame), wide, 2.0, 0.3, few=few)[0]
+    assert (rim == (found[8:10, 14:26] > 5).T).all()
+
+
 @pytest.mark.parametrize(("lit", "of", "stays"), [(1, 4, False), (4, 4, True)])
 def test_one_lit_view_alone_makes_no_wall_lean(roof: Any, lit: int, of: int, stays: bool) -> None:
     image, true = roof
@@ -218,19 +248,20 @@ def test_the_kernel_does_as_plain_numpy(roof: Any, around: Surroundings) -> None
     sure = minimum_filter(maximum_filter(height, 3) - minimum_filter(height, 3) < 1.5, 3)
     uphill = np.zeros((2, 40, 40), np.float32)
     uphill[0] = 1.0  # the northern wall
-    below, above, roof, told, foot, lit_foot = (np.empty_like(height) for _ in range(6))
+    below, above, roof, told = (np.empty_like(height) for _ in range(4))
+    foot, lit_foot = (np.empty((2, *height.shape), np.float32) for _ in range(2))
     compare_sides(
         height, sure, uphill, frame.images, frame.masks, slopes, outward, sunlight, 0.0, margin, unseen(frame), 2.0,
         NOISE, around, below, above, roof, told, foot, lit_foot,
     )  # fmt: skip
     for row, col in ((9, 20), (10, 17), (8, 24), (11, 13)):
         expected = plain_sides(frame, height, outward, sunlight, np.array([1.0, 0.0]), row, col, around)
-        np.testing.assert_allclose([like[row, col] for like in (roof, foot, lit_foot)], expected, atol=1e-4)
-        assert told[row, col] == 5
+        np.testing.assert_allclose([like[row, col] for like in (roof, foot[0], lit_foot[0])], expected, atol=1e-4)
+        assert [number[row, col] for number in (told, foot[1], lit_foot[1])] == [5, 3, 2]
         assert (below[row, col], above[row, col]) == (0.0, 10.0)
     assert np.isnan(below[20, 20])
-    assert np.isnan([foot[20, 20], lit_foot[20, 20]]).all()
-    assert told[20, 20] == 0
+    assert np.isnan([foot[0, 20, 20], lit_foot[0, 20, 20]]).all()
+    assert [number[20, 20] for number in (told, foot[1], lit_foot[1])] == [0, 0, 0]
 
 
 def test_distances_around_a_wall_stay_the_same_on_finer_cells() -> None:

@@ -20,9 +20,12 @@ RIM = -0.2  # likeness to the high side below which a cell of it is a doubtful r
 FOOT = (-0.3, -0.1)
 LIT_FOOT = (-0.2, 0.0)  # the same in the views alone in which it is lit
 FOOT_SCALE_M = 20.0  # distance over which it is averaged
-OUTWARD = 0.75  # likeness by which walls that are not upright start outside the edge of their roof
+OUTWARD = 0.7  # likeness by which walls that are not upright start outside the edge of their roof
+GROUND = 0.2  # likeness to the high side at the height of the low one from which on a cell is not the wall's foot
+FEET = 0.8  # what that counts beside the likeness at the roof's height, where many views see the foot
+FEW_FEET = 2.0  # views of it that count half of that
 SLOPE_SCALE = 2.0  # cells over which the direction of a wall is averaged
-STEEP = 0.05  # tangent of the angle from the vertical below which a view or a sun sees the foot of every wall
+STEEP = 0.05  # tangent of the angle from the vertical below which a view, or a sun, is straight above
 
 
 class Snapped(NamedTuple):
@@ -67,11 +70,15 @@ def snap_edges(
     little in common. So the further from the matching's step, the more likeness it takes to change sides: the wall
     comes to lie between both.
 
+    And where ground is, views from outside see ground, too, at the height of the ground; where the building stands they
+    see its facade. Only they can tell, and their suns must stand outside as well: in the shadow of a wall, the ground
+    at its foot never looks like the ground around. So that is a third measurement, of few views, which count the more
+    the more there are.
+
     Where walls are upright, the roof's edge is the wall. Where they lean, or lidar and eaves make them wider, there is
     a strip which looks like neither roof nor ground: at the height of the ground, views from outside show something
     else than ground in place of the rims. There matching, which puts the step on the outer side of the strip, is
-    believed more than the edge. So must those in which the sun stands outside, too: in the shadow of a wall, the ground
-    at its foot never looks like the ground around. But they are fewer, so that both have to say so.
+    believed more than the edge; both all views from outside and those in the sun have to say so.
 
     Args:
         frame: the views.
@@ -91,7 +98,8 @@ def snap_edges(
     # on its way up to the view a ray moves against the parallax, and to the sun against its light
     outward = _outward(frame.parallax * frame.cell)
     sunlight = _outward(frame.light * frame.cell)
-    below, above, roof, told, foot, lit_foot = (np.empty_like(height) for _ in range(6))
+    below, above, roof, told = (np.empty_like(height) for _ in range(4))
+    foot, lit_foot = (np.empty((2, *height.shape), np.float32) for _ in range(2))
     around = Surroundings().times(finer)
     compare_sides(
         height, off_step, uphill, frame.images, frame.masks, frame.parallax, outward, sunlight, frame.z_ref,
@@ -104,9 +112,9 @@ def snap_edges(
         return Snapped(median_filter(height, 3, mode="nearest"), doubt, blur, np.full_like(height, np.nan))
     side = np.where(height >= 0.5 * (below + above), 1.0, -1.0)
     rims, scale = beside_wall & (side > 0) & (roof < RIM), FOOT_SCALE_M / frame.cell
-    lean = leaning(rims, foot, scale, FOOT)
+    lean = leaning(rims, foot[0], scale, FOOT)
     if not few:
-        np.minimum(lean, leaning(rims, lit_foot, scale, LIT_FOOT), out=lean)
+        np.minimum(lean, leaning(rims, lit_foot[0], scale, LIT_FOOT), out=lean)
     stay = PULL * np.clip(_depth(beside_wall, side, FAR * finer) / finer, -FAR, FAR)
     shown, shadows = shadow_sides(
         frame, first_hit_height, height, off_step, uphill, (below, above),
@@ -115,14 +123,26 @@ def snap_edges(
     likeness = (roof * told + shown) / np.maximum(told + shadows, 1)
     high = likeness + (1 - lean) * stay + lean * side + OUTWARD * lean
     high += lean * (_mean_within(high, beside_wall, 1.0) - high)
+    likeness_of_foot, feet = foot if few else lit_foot
+    high += FEET * _no_ground(likeness_of_foot, np.where(told > 0, feet, 0.0))
     moved = np.where(beside_wall & (side > 0) & (high <= 0), below, height)
     moved = np.where(beside_wall & (side < 0) & (high > 0), above, moved)
     sure = np.where(beside_wall, np.clip(high, -1, 1), np.nan).astype(np.float32)
     return Snapped(median_filter(moved, 3, mode="nearest"), doubt, blur, sure)
 
 
+def _no_ground(likeness: np.ndarray, views: np.ndarray) -> np.ndarray:
+    """How surely cells show no ground, about -1 ... 1: the views' mean, as if some more had not known.
+
+    Args:
+        likeness: ``[H, W]`` to the high side at the height of the low one, -1 ... 1.
+        views: ``[H, W]`` number of views that tell it.
+    """
+    return np.where(views > 0, likeness - GROUND, 0.0) * views / (views + FEW_FEET)
+
+
 def _outward(tangent: np.ndarray) -> np.ndarray:
-    """Unit vectors of ``[V, 2]`` tangents; NaN = from straight above, which is outside of every wall, or unknown."""
+    """Unit vectors of ``[V, 2]`` tangents; NaN = from straight above, or unknown."""
     length = np.hypot(*tangent.T)[:, None]
     return np.where(length < STEEP, np.nan, tangent / np.maximum(length, STEEP))
 

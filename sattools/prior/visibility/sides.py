@@ -172,7 +172,8 @@ def compare_sides(
         images: ``[V, Hf, Wf]`` float32, see `Frame`.
         masks: ``[V, Hf, Wf]`` uint8, 1 = valid.
         parallax: ``[V, 2]`` float64 (row, column) cells per metre of height.
-        outward: ``[V, 2]`` unit vector from the view to the ground; NaN = from straight above.
+        outward: ``[V, 2]`` unit vector from the view to the ground; NaN = from straight above, which shows nothing
+            else at the foot than at the roof.
         sunlight: ``[V, 2]`` that from its sun; NaN = from straight above, or unknown.
         z_ref: reference height of the frame [m].
         margin: cells between the border of the frame and that of the grid.
@@ -184,8 +185,9 @@ def compare_sides(
         above: the same of the high side.
         roof: ``[H, W]`` float32, filled with the mean likeness to the high side (-1 ... 1) at its height; 0 = unknown.
         told: ``[H, W]`` float32, filled with the number of views that tell it.
-        foot: ``[H, W]`` float32, filled with that at the height of the low side; NaN = no view from outside.
-        lit_foot: ``[H, W]`` float32, the same of the views with the sun outside, too.
+        foot: ``[2, H, W]`` float32, filled with that at the height of the low side, NaN = no view from outside; and
+            with the number of views from there.
+        lit_foot: ``[2, H, W]`` float32, the same of the views with the sun outside, too.
         first_row: first row, from `spread`.
         end_row: the one after the last.
     """
@@ -198,8 +200,8 @@ def compare_sides(
         where, weight = np.empty((2, most), np.int64), np.empty((2, most))
         count, total = np.empty(2, np.int64), np.empty(2)
         for col in range(cols):
-            below[row, col] = above[row, col] = foot[row, col] = lit_foot[row, col] = np.nan
-            roof[row, col] = told[row, col] = 0.0
+            below[row, col] = above[row, col] = foot[0, row, col] = lit_foot[0, row, col] = np.nan
+            roof[row, col] = told[row, col] = foot[1, row, col] = lit_foot[1, row, col] = 0.0
             low = high = height[row, col]
             for i in range(max(0, row - around.near), min(rows, row + around.near + 1)):
                 for j in range(max(0, col - around.near), min(cols, col + around.near + 1)):
@@ -225,7 +227,7 @@ def compare_sides(
                 if like == like:
                     at_roof += like
                     roof_views += 1
-                if outward[v, 0] * up_row + outward[v, 1] * up_col <= OUTSIDE:
+                if not outward[v, 0] * up_row + outward[v, 1] * up_col > OUTSIDE:
                     continue
                 like = _likeness(
                     images[v], masks[v], first_hit_height[v], parallax[v], bottom, z_ref, row + margin, col + margin,
@@ -241,9 +243,11 @@ def compare_sides(
                 roof[row, col] = at_roof / roof_views
                 told[row, col] = roof_views
             if foot_views:
-                foot[row, col] = at_foot / foot_views
+                foot[0, row, col] = at_foot / foot_views
+                foot[1, row, col] = foot_views
             if lit_views:
-                lit_foot[row, col] = at_lit_foot / lit_views
+                lit_foot[0, row, col] = at_lit_foot / lit_views
+                lit_foot[1, row, col] = lit_views
 
 
 __all__ = [
