@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 from patience import HANGING_S
+from unread import Unread
 
 from sattools.cli import main
 
@@ -24,13 +25,6 @@ NAMED = [
     (["align", "--to", "{}"], "no such file, expected one for --to"),
     (["normalise", "--metadata", "{}"], "no such folder, expected one for --metadata"),
 ]
-
-
-class Unread(io.BytesIO):
-    """A pipe on which nothing has come yet."""
-
-    def readline(self, size: int | None = -1) -> bytes:
-        raise AssertionError("the command has waited for a scene")
 
 
 @pytest.fixture

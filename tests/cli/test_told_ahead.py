@@ -11,6 +11,7 @@ import pytest
 import rasterio
 import torch
 from click.testing import CliRunner
+from unread import Unread
 
 from sattools.cli import compare, main, pipe
 from sattools.export import datum
@@ -39,13 +40,6 @@ WRONG = [
     (["align", "--to", "nowhere.tif"], "nowhere.tif: found no coordinate reference system"),
     (["align", "--to", "heights.tif", "--tilt", "--method", "z"], "found --tilt with --method z"),
 ]
-
-
-class Unread(io.BytesIO):
-    """A pipe on which nothing has come yet."""
-
-    def readline(self, size: int | None = -1) -> bytes:
-        raise AssertionError("the command has waited for a scene")
 
 
 @pytest.fixture

@@ -100,6 +100,20 @@ def test_one_view_of_four_that_disagrees_is_outvoted(roof: Any, disagreeing: Any
 
 
 NORTH, SOUTH = (0.0, 0.6, 0.8), (0.0, -0.6, 0.8)  # where the sun may stand; views look at the northern wall
+MARGIN, FROM_NORTH = 10, (0.8, 0.0)  # a point moves south by 0.8 cells a metre: cameras stand in the north
+
+
+def from_the_north(image: Any, wall: Any, foot: Any) -> Any:
+    """What they see of the roof, with its northern wall and two cells at the foot of it."""
+    shown = np.roll(np.pad(image, MARGIN, mode="edge"), 8, axis=0)
+    shown[MARGIN + 10 : MARGIN + 18, MARGIN + 10 : MARGIN + 30] = wall
+    shown[MARGIN + 8 : MARGIN + 10, MARGIN + 10 : MARGIN + 30] = foot
+    return shown
+
+
+def frame_of(pictures: Any, slopes: Any, suns: Any) -> Any:
+    images = np.stack(pictures).astype(np.float32)
+    return Frame(images, np.ones(images.shape, np.uint8), np.array(slopes), 0.0, 0.5, MARGIN, tuple(suns))
 
 
 @pytest.mark.parametrize(
@@ -119,14 +133,8 @@ def test_a_rim_is_lowered_only_where_views_from_outside_see_the_ground_in_the_su
     image, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0
-    margin = 10
-    # a point moves south by 0.8 cells a metre: cameras stand in the north and see the northern wall, of brightness 0.35
-    slopes = np.array([[0.8, 0.0]] * 3)
-    shown = np.roll(np.pad(image, margin, mode="edge"), 8, axis=0)
-    shown[margin + 10 : margin + 18, margin + 10 : margin + 30] = 0.35
-    shown[margin + 8 : margin + 10, margin + 10 : margin + 30] = strip  # at the foot: ground, or more of the wall
-    images = np.stack([shown] * 3).astype(np.float32)
-    frame = Frame(images, np.ones(images.shape, np.uint8), slopes, 0.0, 0.5, margin, (sun,) * 3)
+    # at the foot: ground, or more of the wall
+    frame = frame_of([from_the_north(image, 0.35, strip)] * 3, [FROM_NORTH] * 3, [sun] * 3)
     found = snap_edges(frame, unseen(frame), wide, 2.0, NOISE, few=few)[0]
     northern_rim = found[8:10, 14:26]
     assert (northern_rim == (10.0 if stays else 0.0)).all()
@@ -148,15 +156,10 @@ def test_where_the_edge_is_faint_views_of_the_foot_say_whether_ground_is_there(
     image, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0
-    margin = 10
-    above = np.pad(image, margin, mode="edge")
-    oblique = np.roll(above, 8, axis=0)  # from the north, as above, with a wall as bright as the roof
-    oblique[margin + 10 : margin + 18, margin + 10 : margin + 30] = 0.8
-    oblique[margin + 8 : margin + 10, margin + 10 : margin + 30] = foot
-    above[margin + 8 : margin + 10, margin + 10 : margin + 30] = 0.43  # a little more like ground than like roof
-    images = np.stack([above] * 3 + [oblique] * 3).astype(np.float32)
-    slopes = np.array([[0.0, 0.0]] * 3 + [[0.8, 0.0]] * 3)
-    frame = Frame(images, np.ones(images.shape, np.uint8), slopes, 0.0, 0.5, margin, (sun,) * 6)
+    above = np.pad(image, MARGIN, mode="edge")
+    above[MARGIN + 8 : MARGIN + 10, MARGIN + 10 : MARGIN + 30] = 0.43  # a little more like ground than like roof
+    oblique = from_the_north(image, 0.8, foot)  # the wall is as bright as the roof
+    frame = frame_of([above] * 3 + [oblique] * 3, [(0.0, 0.0)] * 3 + [FROM_NORTH] * 3, [sun] * 6)
     # of that likeness of -0.2 it takes 0.15 to lower the outer cell and 0.45 to lower the inner one
     found = snap_edges(frame, unseen(frame), wide, 2.0, 0.3, few=few)[0]
     assert (rim == (found[8:10, 14:26] > 5).T).all()
@@ -167,13 +170,9 @@ def test_one_lit_view_alone_makes_no_wall_lean(roof: Any, lit: int, of: int, sta
     image, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0
-    margin = 10
-    shown = np.roll(np.pad(image, margin, mode="edge"), 8, axis=0)  # as above, with the ground at the foot
-    shown[margin + 10 : margin + 18, margin + 10 : margin + 30] = 0.35
-    images = np.stack([shown] * of).astype(np.float32)
-    images[:lit, margin + 8 : margin + 10, margin + 10 : margin + 30] = 0.35  # these show the wall there
-    suns = (NORTH,) * lit + (SOUTH,) * (of - lit)
-    frame = Frame(images, np.ones(images.shape, np.uint8), np.array([[0.8, 0.0]] * of), 0.0, 0.5, margin, suns)
+    wall, ground = (from_the_north(image, 0.35, foot) for foot in (0.35, 0.2))
+    pictures = [wall] * lit + [ground] * (of - lit)
+    frame = frame_of(pictures, [FROM_NORTH] * of, [NORTH] * lit + [SOUTH] * (of - lit))
     found = snap_edges(frame, unseen(frame), wide, 2.0, NOISE)[0]
     assert (found[8:10, 14:26] == (10.0 if stays else 0.0)).all()
 
