@@ -28,14 +28,20 @@ def roof() -> Any:
     return np.where(height > 5, 0.8, 0.2), height
 
 
+@pytest.fixture
+def wide() -> Any:
+    """The same height, two cells too wide on every side."""
+    height = np.zeros((40, 40), np.float32)
+    height[8:32, 8:32] = 10.0
+    return height
+
+
 def unseen(frame: Any) -> Any:
     return np.full(frame.images.shape, -1e9, np.float32)
 
 
-def test_a_rim_that_looks_like_the_ground_is_lowered(roof: Any) -> None:
+def test_a_rim_that_looks_like_the_ground_is_lowered(roof: Any, wide: Any) -> None:
     image, true = roof
-    wide = true.copy()
-    wide[8:32, 8:32] = 10.0  # two cells too wide on every side
     frame = a_frame(image)
     found = snap_edges(frame, unseen(frame), wide, 2.0, NOISE)[0]
     # the median filter at the end may round the four corners
@@ -68,19 +74,15 @@ def test_a_roofs_edge_that_was_lost_is_raised(roof: Any) -> None:
     assert (found != true).sum() <= 24
 
 
-def test_where_both_sides_look_alike_nothing_moves(roof: Any) -> None:
+def test_where_both_sides_look_alike_nothing_moves(roof: Any, wide: Any) -> None:
     _, true = roof
-    wide = true.copy()
-    wide[8:32, 8:32] = 10.0
     frame = a_frame(np.full(true.shape, 0.5))
     found = snap_edges(frame, unseen(frame), wide, 2.0, NOISE)[0]
     assert (found != wide).sum() <= 4
 
 
-def test_views_that_do_not_see_a_cell_have_no_say(roof: Any) -> None:
-    image, true = roof
-    wide = true.copy()
-    wide[8:32, 8:32] = 10.0
+def test_views_that_do_not_see_a_cell_have_no_say(roof: Any, wide: Any) -> None:
+    image, _ = roof
     frame = a_frame(image)
     blocked = unseen(frame)
     blocked[1:] = 99.0  # all but one view are blocked high above: one view alone decides nothing
@@ -88,10 +90,8 @@ def test_views_that_do_not_see_a_cell_have_no_say(roof: Any) -> None:
 
 
 @pytest.mark.parametrize(("disagreeing", "moves"), [(1, True), (2, False)])
-def test_one_view_of_four_that_disagrees_is_outvoted(roof: Any, disagreeing: Any, moves: Any) -> None:
-    image, true = roof
-    wide = true.copy()
-    wide[8:32, 8:32] = 10.0
+def test_one_view_of_four_that_disagrees_is_outvoted(roof: Any, wide: Any, disagreeing: Any, moves: Any) -> None:
+    image, _ = roof
     frame = a_frame(image, views=4)
     # from these the rim looks as the roof does, and the ground around does not
     frame.images[:disagreeing, 8:32, 8:32] = 0.8
@@ -128,11 +128,9 @@ def frame_of(pictures: Any, slopes: Any, suns: Any) -> Any:
     ],
 )
 def test_a_rim_is_lowered_only_where_views_from_outside_see_the_ground_in_the_sun(
-    roof: Any, strip: Any, sun: Any, few: Any, stays: Any
+    roof: Any, wide: Any, strip: Any, sun: Any, few: Any, stays: Any
 ) -> None:
-    image, true = roof
-    wide = true.copy()
-    wide[8:32, 8:32] = 10.0
+    image, _ = roof
     # at the foot: ground, or more of the wall
     frame = frame_of([from_the_north(image, 0.35, strip)] * 3, [FROM_NORTH] * 3, [sun] * 3)
     found = snap_edges(frame, unseen(frame), wide, 2.0, NOISE, few=few)[0]
@@ -151,11 +149,9 @@ def test_a_rim_is_lowered_only_where_views_from_outside_see_the_ground_in_the_su
     ],
 )
 def test_where_the_edge_is_faint_views_of_the_foot_say_whether_ground_is_there(
-    roof: Any, foot: Any, sun: Any, few: Any, rim: Any
+    roof: Any, wide: Any, foot: Any, sun: Any, few: Any, rim: Any
 ) -> None:
-    image, true = roof
-    wide = true.copy()
-    wide[8:32, 8:32] = 10.0
+    image, _ = roof
     above = np.pad(image, MARGIN, mode="edge")
     above[MARGIN + 8 : MARGIN + 10, MARGIN + 10 : MARGIN + 30] = 0.43  # a little more like ground than like roof
     oblique = from_the_north(image, 0.8, foot)  # the wall is as bright as the roof
@@ -166,10 +162,8 @@ def test_where_the_edge_is_faint_views_of_the_foot_say_whether_ground_is_there(
 
 
 @pytest.mark.parametrize(("lit", "of", "stays"), [(1, 4, False), (4, 4, True)])
-def test_one_lit_view_alone_makes_no_wall_lean(roof: Any, lit: int, of: int, stays: bool) -> None:
-    image, true = roof
-    wide = true.copy()
-    wide[8:32, 8:32] = 10.0
+def test_one_lit_view_alone_makes_no_wall_lean(roof: Any, wide: Any, lit: int, of: int, stays: bool) -> None:
+    image, _ = roof
     wall, ground = (from_the_north(image, 0.35, foot) for foot in (0.35, 0.2))
     pictures = [wall] * lit + [ground] * (of - lit)
     frame = frame_of(pictures, [FROM_NORTH] * of, [NORTH] * lit + [SOUTH] * (of - lit))
