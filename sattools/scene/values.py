@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import numpy as np
-from rasterio.enums import MaskFlags
+from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
@@ -72,6 +72,8 @@ def _known(array: np.ndarray, data: DatasetReader, window: Window | None) -> np.
         known = array != data.nodata
     elif MaskFlags.per_dataset in data.mask_flag_enums[0]:
         known = np.broadcast_to(data.dataset_mask(window=window) > 0, array.shape)
+    elif ColorInterp.alpha in data.colorinterp:  # of bytes and uint16 alone GDAL makes a mask, and warps floats to them
+        known = np.broadcast_to(array[data.colorinterp.index(ColorInterp.alpha)] > 0, array.shape)
     return None if known is None or known.all() else known
 
 

@@ -61,6 +61,19 @@ def test_whole_numbers_are_no_heights_where_the_file_says_so(kind: str, tmp_path
         assert np.array_equal(np.isfinite(found), known)
 
 
+@pytest.mark.parametrize(("dtype", "opaque"), [("float32", 255), ("int16", 32767), ("uint16", 65535)])
+def test_transparent_cells_are_no_heights_whatever_their_type(dtype: str, opaque: int, tmp_path: Path) -> None:
+    """As `gdalwarp -dstalpha` makes them of a DSM: 0 m high; GDAL has masks of bytes and uint16 alone."""
+    known = np.ones((40, 40), bool)
+    known[5:9, 5:9] = False
+    profile: dict[str, Any] = {"driver": "GTiff", "count": 2, "height": 40, "width": 40, "dtype": dtype}
+    path = tmp_path / "warped.tif"
+    with rasterio.open(path, "w", **profile, crs=GRID.crs, transform=GRID.transform, alpha="YES") as out:
+        out.write(np.stack([np.where(known, HEIGHTS.round(), 0), np.where(known, opaque, 0)]).astype(dtype))
+    for found in (read_reference(path).heights, read_surface(str(path)).height):
+        assert np.array_equal(np.isfinite(found), known)
+
+
 def test_codes_stay_whole_numbers(tmp_path: Path) -> None:
     codes = np.full((40, 40), 2, np.uint8)
     codes[:3] = 0
