@@ -7,31 +7,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from affine import Affine
-from rasterio.crs import CRS
-from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
-from rasterio.io import DatasetReader
-from rasterio.vrt import WarpedVRT
 from rasterio.warp import transform as transform_points
 
 from sattools.align.estimate import ControlPoint
 from sattools.align.means import LEAST_PARTS
 from sattools.camera.ground import from_geographic
 from sattools.compare.doubts import check_heights
-from sattools.compare.truth import known_heights
+from sattools.compare.truth import warped_heights
 from sattools.errors import InputError
-from sattools.scene.datums import horizontal
-from sattools.scene.globe import columns_of_turn
 from sattools.scene.grid import Grid
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
-from sattools.scene.placement import place_at
-from sattools.scene.regrid import bounds_in
+from sattools.scene.placement import crs_of, has_grid
+from sattools.scene.raster import raster_grid
+from sattools.scene.stored import PIECE_CELLS, pieces
 from sattools.scene.tables import read_table
-from sattools.scene.values import scale_of
 from sattools.scene.vectors import in_crs, is_vector, read_features
-from sattools.scene.warped import read_warped
 
 COLUMNS = ("z", "item", "column", "row")
 TEXTS = ("name", "item")
@@ -49,14 +41,8 @@ def check_reference(path: Path, crs: str) -> None:
         read_control_points(path, crs)
         return
     with opened(path) as data:
-        _crs_of(data, path)
+        crs_of(data, path)
     check_heights(path, one_band=False)
-
-
-def _crs_of(data: DatasetReader, path: Path) -> CRS:
-    if data.crs is None:
-        raise InputError(f"{path}: found no coordinate reference system, expected a georeferenced raster")
-    return data.crs
 
 
 def heights_around(path: Path, grid: Grid, reach: float, step: int = 1) -> tuple[np.ndarray, Grid]:
@@ -78,38 +64,17 @@ def heights_around(path: Path, grid: Grid, reach: float, step: int = 1) -> tuple
     Raises:
         InputError: unreadable, without a CRS, or elsewhere.
     """
-    with opened(path) as data:
-        crs = horizontal(_crs_of(data, path))
-        unknown = data.nodata
-        if unknown is None and np.issubdtype(np.dtype(data.dtypes[0]), np.floating):
-            unknown = np.nan
-        try:
-            around, own = _part(data.transform, crs, grid, reach)
-            method = Resampling.nearest if own else Resampling.bilinear
-            if step > 1 and around.cell_size < LEAST_PARTS * step * grid.cell_size:
-                cell = step * max(around.cell_size, grid.cell_size)
-                around, method = Grid.from_bounds(grid.crs, around.bounds, cell), Resampling.average
-            check_memory(8.0 * around.width * around.height, f"{path}: {around.width} x {around.height} cells", "crop")
-            if data.crs.is_geographic and columns_of_turn(data.width, data.transform.a):
-                return _known(read_warped(path, around, lambda bands: known_heights(bands[:1]))[0], path, reach), around
-            place = place_at(data, bounds_in(crs, around))
-            with WarpedVRT(
-                data, src_crs=_running_on(data, crs, place), src_transform=place, crs=around.crs,
-                transform=around.transform, width=around.width, height=around.height, resampling=method,
-                src_nodata=unknown, nodata=np.nan, dtype="float32",
-            ) as warped:  # fmt: skip
-                factor, offset = scale_of(data)
-                heights = known_heights(factor * warped.read(1) + offset)
-        except RasterioError as error:
-            text = " ".join(str(error).split())[:120]
-            raise InputError(f"{path}: cannot be read around the scene ({text}), expected heights there") from None
-    return _known(heights, path, reach), around
-
-
-def _known(heights: np.ndarray, path: Path, reach: float) -> np.ndarray:
+    own = around = _part(path, grid, reach)
+    if step > 1 and own.cell_size < LEAST_PARTS * step * grid.cell_size:
+        around = Grid.from_bounds(grid.crs, own.bounds, step * max(own.cell_size, grid.cell_size))
+    check_memory(8.0 * around.width * around.height, f"{path}: {around.width} x {around.height} cells", "crop")
+    heights = np.empty(around.shape, np.float32)
+    cells = around.width * (around.cell_size / own.cell_size) ** 2  # of the raster in a row
+    for rows in pieces(around.shape, max(1, int(PIECE_CELLS / cells))):
+        heights[rows] = warped_heights(path, around.part(rows, slice(0, around.width)), means=True)
     if not np.isfinite(heights).any():
         raise InputError(f"{path}: found no heights within {reach:g} m of the scene, expected a reference of its place")
-    return heights
+    return heights, around
 
 
 def read_control_points(path: Path, crs: str) -> list[ControlPoint]:
@@ -134,31 +99,28 @@ def holds_points(path: Path) -> bool:
     return path.suffix.lower() == ".csv" or (path.is_file() and is_vector(path))
 
 
-def _part(transform: Any, crs: str, grid: Grid, reach: float) -> tuple[Grid, bool]:
-    """The grid to read on, and whether it is on the raster's own cells, where these are square and of the same CRS."""
+def _part(path: Path, grid: Grid, reach: float) -> Grid:
+    """The part of a raster around a grid, of its own cells where these are square and of the same CRS."""
+    with opened(path) as data:
+        crs, to = crs_of(data, path), data.transform
     west, south, east, north = grid.bounds
-    (x,), (y,) = transform_points(grid.crs, crs, [(west + east) / 2], [(south + north) / 2])
-    steps = ((0.0, 0.0), (transform.a, transform.d), (transform.b, transform.e))  # to the next column and row
-    xs, ys = transform_points(crs, grid.crs, *zip(*((x + east, y + north) for east, north in steps), strict=True))
+    if crs == grid.crs and has_grid(path):
+        own = raster_grid(path)
+        reach += SPARE_CELLS * own.cell_size
+        rows = [round((own.top - side) / own.cell_size) for side in (north + reach, south - reach)]
+        columns = [round((side - own.left) / own.cell_size) for side in (west - reach, east + reach)]
+        return own.part(slice(*rows), slice(*columns))
+    steps = ((0.0, 0.0), (to.a, to.d), (to.b, to.e))  # to the next column and row
+    try:
+        (x,), (y,) = transform_points(grid.crs, crs, [(west + east) / 2], [(south + north) / 2])
+        xs, ys = transform_points(crs, grid.crs, *zip(*((x + e, y + n) for e, n in steps), strict=True))
+    except RasterioError as error:
+        text = " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: cannot be read around the scene ({text}), expected heights there") from None
     # the square of the area that a cell has there
     cell = float(np.sqrt(np.hypot(xs[1] - xs[0], ys[1] - ys[0]) * np.hypot(xs[2] - xs[0], ys[2] - ys[0])))
     reach += SPARE_CELLS * cell
-    box = (west - reach, south - reach, east + reach, north + reach)
-    square = abs(transform.a + transform.e) <= 1e-6 * transform.a and transform.b == transform.d == 0
-    if crs != grid.crs or not square:
-        return Grid.from_bounds(grid.crs, box, cell), False
-    columns = [round((side - transform.c) / transform.a) for side in (box[0], box[2])]
-    rows = [round((transform.f - side) / transform.a) for side in (box[3], box[1])]
-    whole = Grid(crs, transform.c, transform.f, transform.a, 1, 1)
-    return whole.part(slice(*rows), slice(*columns)), True
-
-
-def _running_on(data: DatasetReader, crs: str, place: Affine) -> str:
-    """The CRS of an open file, which finds longitudes beyond 180 degrees where they lie on it, not a turn away."""
-    west, east = place.c, place.c + place.a * data.width
-    if not data.crs.is_geographic or (west >= -180.0 and east <= 180.0):
-        return crs
-    return f"{CRS.from_user_input(crs).to_proj4()} +lon_wrap={(west + east) / 2:.9f}"
+    return Grid.from_bounds(grid.crs, (west - reach, south - reach, east + reach, north + reach), cell)
 
 
 def _csv_rows(path: Path, crs: str) -> Sequence[Mapping[str, Any]]:

@@ -157,4 +157,4 @@ def cut(shape: tuple[int, int], edge: int | None = None) -> Iterator[tuple[slice
             yield slice(row, min(row + edge, height)), slice(col, min(col + edge, width))
 
 
-__all__ = ["StoredMap", "cut", "map_like", "new_map", "pieces"]
+__all__ = ["PIECE_CELLS", "StoredMap", "cut", "map_like", "new_map", "pieces"]

@@ -8,6 +8,7 @@ import pytest
 import rasterio
 from affine import Affine
 from align_ground import CRS, GRID
+from rasterio.warp import transform
 
 from sattools.align.options import AlignOptions
 from sattools.align.reference import check_reference, heights_around
@@ -66,6 +67,46 @@ def test_turned_rasters_are_taken_as_they_lie(tmp_path: Path, turn: Any, to: Any
     known = np.isfinite(there)
     assert known.mean() > 0.9
     np.testing.assert_allclose(there[known], heights[known], atol=0.05)
+
+
+def save(path: Path, heights: np.ndarray, crs: str, place: Affine) -> Path:
+    about = {"driver": "GTiff", "count": 1, "dtype": "float32", "crs": crs, "transform": place}
+    with rasterio.open(path, "w", height=heights.shape[0], width=heights.shape[1], **about) as file:
+        file.write(heights.astype(np.float32), 1)
+    return path
+
+
+def test_rasters_that_are_stored_from_south_to_north_keep_their_cells(tmp_path: Path) -> None:
+    """They were interpolated onto other cells, which blurs walls."""
+    heights = np.random.default_rng(0).uniform(0.0, 40.0, GRID.shape)
+    west, south, _, _ = GRID.moved(0.3, 0.2).bounds
+    cell = GRID.cell_size
+    path = save(tmp_path / "up.tif", heights[::-1], CRS, Affine(cell, 0, west, 0, cell, south))
+    found, around = heights_around(path, GRID, 0.0)
+    np.testing.assert_allclose(reproject_map(found, around, GRID.moved(0.3, 0.2)), heights, rtol=1e-6)
+    assert around.left == pytest.approx(west - 4 * cell)
+
+
+def test_numbers_for_no_data_that_a_file_does_not_declare_touch_no_cell_beside_them(tmp_path: Path) -> None:
+    """They were interpolated as heights: cells beside a hole of -9999 lay 0 to 1000 m deep."""
+    heights = np.full((400, 400), 20.0)
+    heights[150:250, 150:250] = -9999.0
+    (lon,), (lat,) = transform(CRS, "EPSG:4326", [GRID.middle[0]], [GRID.middle[1]])
+    place = Affine(1e-5, 0, lon - 2e-3, 0, -1e-5, lat + 2e-3)
+    found, _ = heights_around(save(tmp_path / "degrees.tif", heights, "EPSG:4326", place), GRID, 0.0)
+    assert np.isnan(found).any()
+    assert np.nanmin(found) == pytest.approx(20.0)
+
+
+def test_a_wall_of_a_raster_that_is_turned_is_not_wider_for_that(tmp_path: Path) -> None:
+    """GDAL takes the box of turned cells for their size: it was nearly twice as wide."""
+    heights = np.where(np.arange(800) < 400, 0.0, 10.0) * np.ones((800, 1))
+    place = Affine.translation(*GRID.middle) @ Affine.rotation(30) @ Affine.scale(GRID.cell_size, -GRID.cell_size)
+    path = save(tmp_path / "turned.tif", heights, CRS, place @ Affine.translation(-400, -400))
+    found, _ = heights_around(path, GRID, 0.0)
+    known = np.isfinite(found).all(axis=1)
+    between = ((found > 0.5) & (found < 9.5)).sum(axis=1)[known]
+    assert between.mean() < 1.2
 
 
 def test_what_is_wrong_with_a_reference_names_its_file_once(tmp_path: Path) -> None:
