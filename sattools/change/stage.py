@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -58,9 +58,9 @@ def change(
     progress(0.0, "reading")
     old, new, names = _begun(before, after, options, overwrite)
     folder = Path(options.out)
-    note = datums_differ({old.name: heights_above(old.layers["height"]), new.name: heights_above(new.layers["height"])})
-    if note:
-        log.warning("%s, unless --register takes it out", note)
+    apart = _datums(old, new)
+    for text in apart:
+        log.warning("%s", text)
     progress(0.2, "registering")
     make_folder(folder)
     found = register_dates(old, new, options.register, folder)
@@ -75,7 +75,7 @@ def change(
     for text in notes:
         log.warning("%s", text)
     table: JsonObject = {"before": old.name, "after": new.name, "shift_m": [round(v, 4) for v in found.shift_m]}
-    table["notes"] = notes
+    table["notes"] = [*apart, *notes]
     table["registration"] = found.found.method
     table |= _table(heights, regions, options)
     if options.polygons:
@@ -95,7 +95,7 @@ def change(
         else:
             remove(folder / ALBEDO)  # of other dates, which nothing would tell from these
         title = f"{old.name} to {new.name}: change of height"
-        difference_picture(heights.difference, old.grid, title, folder / PICTURE)
+        difference_picture(heights.difference, old.grid, title, folder / PICTURE, "later minus earlier")
         write_bytes(folder / POLYGONS, _geopackage(labels, regions, old.grid))
         write_text(folder / TABLE, json.dumps(table, indent=1) + "\n")
     progress(1.0, "done")
@@ -120,6 +120,13 @@ def _begun(before: str, after: str, options: ChangeOptions, overwrite: bool) -> 
     inputs = [*old.files, *new.files, *polygons]
     check_outputs([Path(options.out) / name for name in dict.fromkeys([*names, ALBEDO])], inputs, overwrite)
     return old, new, names
+
+
+def _datums(old: Surface, new: Surface) -> list[str]:
+    """What there is to say where both dates are known to have heights above different things; both may have one name."""
+    files = {f"{old.name} before": old.layers["height"], f"{new.name} after": new.layers["height"]}
+    note = datums_differ({name: heights_above(file) for name, file in files.items()})
+    return [f"{note}, unless --register takes it out"] if note else []
 
 
 def _noise_alone(surface: Surface) -> str:
@@ -220,8 +227,9 @@ def _geopackage(labels: np.ndarray, regions: list[Region], grid: Grid) -> bytes:
         found = shapes(own, mask=own > 0, connectivity=8, transform=grid.part(rows, cols).transform)
         outlines.append(MultiPolygon([shape(geometry) for geometry, _ in found]))
     table = [{**_figures(r), "kind": "risen" if r.mean_m > 0 else "sunk"} for r in regions]
-    names = table[0] if table else ("label", "kind")
-    columns = {name: np.array([row[name] for row in table], object if name == "kind" else None) for name in names}
+    kinds = {"label": np.int64, "kind": object}  # numbers else, the same where nothing has changed
+    names = [*(field.name for field in fields(Region) if field.name != "box"), "kind"]
+    columns = {name: np.array([row[name] for row in table], kinds.get(name, np.float64)) for name in names}
     return geopackage(Features(outlines, columns, grid.crs), "changes", "MultiPolygon")
 
 

@@ -13,28 +13,30 @@ from sattools.scene.grid import Grid
 
 MOST_CELLS = 1200  # along an edge, half as many again as the picture has pixels: more would take memory unseen
 LIMIT_M = 5.0  # difference at the ends of the colours
+PREDICTION = "prediction minus reference"
 
 
-def difference_picture(difference: np.ndarray, grid: Grid, title: str, path: Path) -> None:
+def difference_picture(difference: np.ndarray, grid: Grid, title: str, path: Path, what: str = PREDICTION) -> None:
     """PNG of `difference_figure`.
 
     Args:
-        difference: ``[H, W]`` prediction minus reference [m].
+        difference: ``[H, W]`` [m].
         grid: ground grid.
         title: of the picture.
         path: file to write.
+        what: is subtracted from what.
     """
-    figure = difference_figure(difference, grid, title)
-    write_figure(path, figure)
+    write_figure(path, difference_figure(difference, grid, title, what))
 
 
-def difference_figure(difference: np.ndarray, grid: Grid, title: str) -> Any:
-    """Matplotlib figure of `difference` [H, W] in metres: blue too low, red too high, grey not scored; ±`LIMIT_M`.
+def difference_figure(difference: np.ndarray, grid: Grid, title: str, what: str = PREDICTION) -> Any:
+    """Matplotlib figure of `difference` [H, W] in metres: blue too low, red too high, grey not known; ±`LIMIT_M`.
 
     Args:
-        difference: ``[H, W]`` prediction minus reference [m].
+        difference: ``[H, W]`` [m].
         grid: ground grid.
         title: of the picture.
+        what: is subtracted from what.
     """
     from matplotlib import colormaps
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -58,7 +60,7 @@ def difference_figure(difference: np.ndarray, grid: Grid, title: str) -> Any:
     axes.set_title(_plain(title))
     axes.set_xlabel(f"metres east of {west:.0f}")
     axes.set_ylabel(f"metres north of {south:.0f} ({_plain(grid.crs)})")
-    figure.colorbar(shown, ax=axes, extend="both", label="prediction minus reference [m]")
+    figure.colorbar(shown, ax=axes, extend="both", label=f"{what} [m]")
     return figure
 
 

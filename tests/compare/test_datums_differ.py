@@ -1,6 +1,7 @@
 """Surfaces whose heights are above different things are compared with a warning."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,13 @@ def test_compare_warns_and_keeps_the_note(surfaces: Any, reference: str, warned:
     assert (figures["mae"] > 5.0) == warned  # predictions far beyond the reference count as ten metres off
 
 
-def test_change_warns(surfaces: Any, tmp_path: Path) -> None:
-    files = [str(surfaces / name) for name in ("ellipsoid.tif", "egm96.tif")]
+@pytest.mark.parametrize("before", ["ellipsoid.tif", "before/egm96.tif"])
+def test_change_warns_and_keeps_the_note(surfaces: Any, tmp_path: Path, before: str) -> None:
+    """Dates were told apart by their names: of two files or scenes of one name nothing was said."""
+    (tmp_path / "before").mkdir()
+    shutil.copy(surfaces / "ellipsoid.tif", tmp_path / "before/egm96.tif")
+    files = [str(tmp_path / before), str(surfaces / "egm96.tif")]
     done = CliRunner().invoke(main, ["change", *files, "--out", str(tmp_path / "c")])
-    assert "heights are above different things" in done.stderr
+    said = f"({Path(before).stem} before above the ellipsoid, egm96 after above EGM96 height (EPSG:5773))"
+    assert said in done.stderr
+    assert said in json.loads(done.stdout)["notes"][0]
