@@ -123,7 +123,7 @@ def _begun(before: str, after: str, options: ChangeOptions, overwrite: bool) -> 
 
 
 def _datums(old: Surface, new: Surface) -> list[str]:
-    """What there is to say where both dates are known to have heights above different things; both may have one name."""
+    """What to say where dates, which may have one name, are known to have heights above different things."""
     files = {f"{old.name} before": old.layers["height"], f"{new.name} after": new.layers["height"]}
     note = datums_differ({name: heights_above(file) for name, file in files.items()})
     return [f"{note}, unless --register takes it out"] if note else []

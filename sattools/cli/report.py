@@ -44,7 +44,14 @@ def command(source: str, out: Path | None, overwrite: bool) -> None:
         from sattools.scene.dependencies import files_of
         from sattools.scene.runner import check_place
 
-        name = str(Path(source) / "scene.json") if Path(source).is_dir() and source != "-" else source
+        name = source
+        if source != "-" and Path(source).is_dir():
+            name = str(Path(source) / "scene.json")
+            if not Path(name).is_file():
+                raise SceneError(
+                    f"{source}: found a folder without scene.json, table.csv and evaluation.json, expected that of a "
+                    "scene, or one that `batch` or `compare --fit` has written"
+                )
         done = False
         if out is not None and name == "-":  # known before the scene comes, hours maybe
             check_page(out, overwrite)

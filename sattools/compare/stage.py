@@ -14,7 +14,7 @@ from sattools.compare.doubts import check_metres
 from sattools.compare.images import check_views, compare_views
 from sattools.compare.maps import Pair, compare_map
 from sattools.compare.options import CompareOptions, name_and_file
-from sattools.compare.picture import difference_picture, scatter_picture
+from sattools.compare.picture import PREDICTION, difference_picture, scatter_picture
 from sattools.compare.surface import Comparison, FiledSurface, HeldSurface, Surface, compare_surface
 from sattools.compare.text import to_json
 from sattools.compare.truth import (
@@ -375,7 +375,8 @@ def _write_difference(result: Comparison, tif: Path, png: Path) -> None:
         png: file to write.
     """
     title = f"{result.figures['reference']}: MAE {result.figures['mae']:.2f} m"
-    with CogWriter(tif, result.grid, units="m", tags={"CONTENT": "registered prediction minus reference"}) as out:
+    tags = {"CONTENT": "registered prediction minus reference", "SOFTWARE": "sattools"}
+    with CogWriter(tif, result.grid, units="m", tags=tags, descriptions=[f"height, {PREDICTION}"]) as out:
         for rows in pieces(result.grid.shape):
             out.write(result.difference[rows], rows)
     difference_picture(result.difference, result.grid, title, png)

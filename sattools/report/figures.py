@@ -13,6 +13,7 @@ from sattools.scene.grid import Grid
 from sattools.scene.validity import CLASSES as VALIDITY
 
 Outline = Sequence[Sequence[float]]
+UNKNOWN = "0.75"  # grey of cells without a value
 NAME_LETTERS = 32  # as wide as one image's panel
 
 
@@ -221,11 +222,12 @@ def map_figure(array: np.ndarray, grid: Grid, label: str) -> Any:
     known = array[np.isfinite(array)]
     low, high = np.quantile(known, [0.01, 0.99]) if known.size else (0.0, 1.0)
     if array.shape[0] == 3:
-        shown = np.clip((np.nan_to_num(array, nan=high) - low) / max(high - low, 1e-6), 0, 1)
+        shown = np.clip((array - low) / max(high - low, 1e-6), 0, 1)
+        shown[:, ~np.isfinite(array).all(axis=0)] = float(UNKNOWN)
         axes.imshow(np.moveaxis(shown, 0, -1), extent=extent, interpolation="nearest")
         axes.set_title(f"{label}: black {low:.3g}, white {high:.3g}", fontsize=10)
     else:
-        colours = colormaps["viridis"].with_extremes(bad="0.75")
+        colours = colormaps["viridis"].with_extremes(bad=UNKNOWN)
         image = axes.imshow(
             np.ma.masked_invalid(array[0]),
             cmap=colours,

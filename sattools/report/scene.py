@@ -20,6 +20,7 @@ from sattools.report.parts import number, product, trace_rows
 from sattools.scene.dependencies import ALBEDO_SECONDS, PRIOR_SECONDS, drop, in_force, stale
 from sattools.scene.document import Scene
 from sattools.scene.jsonio import JsonObject, read_json
+from sattools.scene.opening import opened
 from sattools.scene.raster import raster_grid, read_overview, read_some_pixels
 from sattools.scene.schema import Items, Maybe, Number, Text
 from sattools.scene.schema import Table as Members
@@ -236,8 +237,14 @@ def _maps(scene: Scene) -> Section:
         array, grid = read_overview(path)
         shown = array.astype(np.float32)
         shown = shown[list(rgb_bands(path))] if shown.shape[0] >= 3 else shown[:1]
-        caption = f"{label[0].upper()}{label[1:]}, product {name}."
-        section.parts.append(Picture(figures.map_figure(shown, grid, label), f"Map: {label}", caption))
+        caption = f"{label[0].upper()}{label[1:]}, product {name}"
+        with opened(path) as data:
+            told = data.tags().get("DETERMINED")  # of what reflectance models have, in which share of the cells
+        caption += f"; determined: {told}." if told else "."
+        if np.isfinite(shown).any():
+            section.parts.append(Picture(figures.map_figure(shown, grid, label), f"Map: {label}", caption))
+        else:
+            section.parts.append(f"{caption} No cell has a value.")
     return section
 
 

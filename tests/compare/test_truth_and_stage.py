@@ -287,6 +287,8 @@ def test_a_scene_is_scored_and_the_difference_map_written(scene: Any) -> None:
     difference, grid = read_raster(scene.root / "compare/difference.tif")
     assert grid == GRID
     np.testing.assert_allclose(difference[0], 0.5, atol=1e-5)
+    with rasterio.open(scene.root / "compare/difference.tif") as data:
+        assert data.descriptions == ("height, prediction minus reference",)  # what QGIS calls the band
     assert (scene.root / "compare/difference.png").read_bytes()[:4] == b"\x89PNG"
     assert json.loads((scene.root / "compare/errors.json").read_text())["mae"] == figures["mae"]
     assert "MAE 0.500 m" in table(figures)

@@ -42,3 +42,22 @@ def test_every_parameter_of_a_reflectance_model_has_a_picture_and_so_has_where_t
     amplitudes, shapes = {p.name for p in AMPLITUDE.values()}, {p.name for kind in SHAPE.values() for p in kind}
     assert {"w", "theta", "asymmetry"} <= amplitudes | shapes
     assert (amplitudes | shapes | {"lambert_share"}) - MAPS.keys() == set()
+
+
+def test_a_map_without_a_value_is_told_not_drawn(tmp_path: Path) -> None:
+    """It was a grey picture beside the colours of 0 to 1, as if roughness had been measured there."""
+    tags = {"DETERMINED": "0.00 of the cells, see identifiable.tif"}
+    write_cog(tmp_path / "theta.tif", np.full(GRID.shape, np.nan, np.float32), GRID, tags=tags)
+    section = _maps(Scene("TOWN", tmp_path, [], GRID, products={"theta": "theta.tif"}))
+    assert section.parts == [
+        "Macroscopic roughness theta [degrees], product theta; determined: 0.00 of the cells, see identifiable.tif. "
+        "No cell has a value."
+    ]
+
+
+def test_ground_without_colours_is_grey_not_white() -> None:
+    bands = np.linspace(0.1, 0.3, 3 * GRID.height * GRID.width, dtype=np.float32).reshape(3, *GRID.shape)
+    bands[:, :10, :10] = np.nan
+    shown = figures.map_figure(bands, GRID, "albedo [1]").axes[0].images[0].get_array()
+    assert np.unique(shown[:10, :10]).tolist() == [0.75]
+    assert 0.0 <= float(shown.min()) < float(shown.max()) <= 1.0

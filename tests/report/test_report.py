@@ -183,6 +183,13 @@ def test_the_page_links_the_log(make_town: Any) -> None:
     assert "sattools.log" in Page((scene.root / "report.html").read_text()).links
 
 
+def test_a_folder_of_something_else_is_told_what_is_looked_for(tmp_path: Path) -> None:
+    """It was a `scene.json` with "No such file or directory" in it."""
+    refused = run(tmp_path)
+    assert refused.exit_code == 1
+    assert f"{tmp_path}: found a folder without scene.json, table.csv and evaluation.json, expected" in refused.stderr
+
+
 def test_an_existing_page_is_kept_unless_it_may_be_replaced(finished: Any) -> None:
     page = finished.root / "report.html"
     assert run(finished.root).exit_code == 0
