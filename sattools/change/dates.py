@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sattools.change.surfaces import Surface, order_of_bands
-from sattools.compare.doubts import FAR_M, check_metres, in_feet, of_registration, worse_than_none
+from sattools.compare.doubts import FAR_M, check_metres, in_other_unit, of_registration, worse_than_none
 from sattools.compare.registration import Method, Registration, register, search_margin, shifted
 from sattools.compare.tally import Median
 from sattools.errors import InputError
@@ -130,7 +130,7 @@ def register_dates(old: Surface, new: Surface, method: Method, folder: Path) -> 
         folder: for temporary files.
 
     Raises:
-        InputError: nothing in common, or heights of one date that are in feet without saying so.
+        InputError: nothing in common, or heights of one date that are in feet or centimetres without saying so.
     """
     grid = old.grid
     margin = search_margin(grid.shape) if method in ("ncc", "nuth-kaab") else 0
@@ -141,11 +141,11 @@ def register_dates(old: Surface, new: Surface, method: Method, folder: Path) -> 
     for rows, cols in cut(grid.shape):
         before[rows, cols] = old.on("height", grid.part(rows, cols))[0]
     found, notes = _registered(wide, before, method, margin, new, grid)
-    feet = in_feet(wide, before, found, margin, throughout=True)
+    unit = in_other_unit(wide, before, found, margin, throughout=True)
     names = {"surface": new.layers["height"], "reference": old.layers["height"]}
     # ground may have grown to three times its height, and then its file can say so
-    if feet is not None and not _says_metres(names[feet]):
-        check_metres(feet, str(names["surface"]), str(names["reference"]), "ft, or m if they are")
+    if unit is not None and not _says_metres(names[unit[0]]):
+        check_metres(unit, str(names["surface"]), str(names["reference"]), ", or -units m if they are")
     difference = new_map(grid.shape, np.float32, folder)
     common = 0
     for rows in pieces(grid.shape):

@@ -19,8 +19,8 @@ from sattools.scene.raster import read_window
 from sattools.scene.stored import pieces
 from sattools.scene.values import is_length, says_metres, scale_of
 
-FEET = 1 / 0.3048  # in a metre
-ALIKE, AS_LARGE = 0.9, 1.15  # correlation of two surfaces, and by what factor their ratio may be another than feet's
+UNITS = {"feet": 1 / 0.3048, "decimetres": 10.0, "centimetres": 100.0}  # -> in a metre
+ALIKE, AS_LARGE = 0.9, 1.15  # correlation of two surfaces, and by what factor their ratio may be another than a unit's
 RELIEF_M = 0.5  # standard deviation of a surface from which that can be told
 SAMPLED = 1_000_000  # cells that are looked at
 WORSE, LEAST_WORSE_M = 1.05, 0.01  # times what is left without a registration, and so much more: not chance
@@ -85,12 +85,12 @@ def _class_codes(numbers: np.ndarray) -> list[int]:
     return [int(code) for code in codes] if jumps > borders / 2 else []
 
 
-def in_feet(
+def in_other_unit(
     wide: np.ndarray, reference: np.ndarray, shift: Registration, margin: int, throughout: bool = False
-) -> str | None:
-    """Which of "surface" and "reference" is in feet without saying so; None where neither is.
+) -> tuple[str, str] | None:
+    """Which of "surface" and "reference" is in which of `UNITS` without saying so; None where neither is.
 
-    One varies as much more than the other as feet do, and alike: bad heights do the first at most.
+    One varies as much more than the other as numbers of that unit do, and alike: bad heights do the first at most.
 
     Args:
         wide: see `of_registration`.
@@ -114,25 +114,28 @@ def in_feet(
     if throughout:
         middle, own_middle = (float(np.median(np.abs(heights - np.median(heights)))) for heights in (surface, own))
         ratios.append(own_middle / max(middle, 1e-9))
-    feet = FEET if own_spread > spread else 1 / FEET
-    if not all(1 / AS_LARGE < ratio / feet < AS_LARGE for ratio in ratios):
-        return None
-    return "reference" if own_spread > spread else "surface"
+    for unit, count in UNITS.items():
+        times = count if own_spread > spread else 1 / count
+        if all(1 / AS_LARGE < ratio / times < AS_LARGE for ratio in ratios):
+            return "reference" if own_spread > spread else "surface", unit
+    return None
 
 
-def check_metres(feet: str | None, name: str, reference: str, hint: str = "ft") -> None:
-    """Raise InputError, naming the file, for what `in_feet` finds.
+def check_metres(found: tuple[str, str] | None, name: str, reference: str, more: str = "") -> None:
+    """Raise InputError, naming the file, for what `in_other_unit` finds.
 
     Args:
-        feet: see there.
+        found: see there.
         name: of the surface.
         reference: its name.
-        hint: units that the file may say.
+        more: that the file may say.
     """
-    if feet is not None:
+    if found is not None:
+        which, unit = found
+        says = "unit: gdal_edit.py -units ft" if unit == "feet" else f"scale: gdal_edit.py -scale {1 / UNITS[unit]:g}"
         raise InputError(
-            f"{reference if feet == 'reference' else name}: found heights that are {FEET:.2f} times the other "
-            f"surface's, as feet are, expected metres (or a file that says its unit: gdal_edit.py -units {hint})"
+            f"{reference if which == 'reference' else name}: found heights that are {UNITS[unit]:.3g} times the other "
+            f"surface's, as {unit} are, expected metres (or a file that says its {says}{more})"
         )
 
 
@@ -196,4 +199,4 @@ def _some(shape: tuple[int, ...]) -> Iterator[tuple[slice, int]]:
         yield rows, step
 
 
-__all__ = ["FAR_M", "check_heights", "check_metres", "in_feet", "of_registration", "worse_than_none"]
+__all__ = ["FAR_M", "check_heights", "check_metres", "in_other_unit", "of_registration", "worse_than_none"]

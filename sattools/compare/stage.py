@@ -322,8 +322,8 @@ def check_file(options: CompareOptions, overwrite: bool = False) -> tuple[Truth,
 
 
 def _checked(result: Comparison, surface: FiledSurface, truth: Truth, notes: Sequence[str]) -> JsonObject:
-    """Notes for the table, with what speaks against the registration; InputError where a surface is in feet."""
-    check_metres(result.feet, surface.name, truth.source)
+    """Notes for the table, with what speaks against the registration; InputError where a surface is not in metres."""
+    check_metres(result.unit, surface.name, truth.source)
     for text in result.notes:
         log.warning("%s: %s", surface.name, text)
     both = [*notes, *result.notes]

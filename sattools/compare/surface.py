@@ -8,7 +8,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from sattools.compare.doubts import check_heights, in_feet, of_registration
+from sattools.compare.doubts import check_heights, in_other_unit, of_registration
 from sattools.compare.heights import Rows, errors_of
 from sattools.compare.holes import fill_holes
 from sattools.compare.registration import Registration, register, search_margin, shifted
@@ -34,7 +34,7 @@ class Comparison:
         grid: grid of the reference.
         registration: how the prediction was moved.
         notes: what speaks against that.
-        feet: "surface" or "reference" where that one is in feet by its looks.
+        unit: "surface" or "reference", and in which unit that one is by its looks; None = metres.
     """
 
     figures: dict[str, Any]
@@ -42,7 +42,7 @@ class Comparison:
     grid: Grid
     registration: Registration
     notes: tuple[str, ...] = ()
-    feet: str | None = None
+    unit: tuple[str, str] | None = None
 
 
 class Surface(Protocol):
@@ -180,7 +180,7 @@ def compare_surface(surface: Surface, truth: Truth, method: Method = "ncc", fold
         "mask": truth.mask_text(),
     }
     notes = of_registration(wide, reference, shift, margin, grid)
-    return Comparison(figures, difference, grid, shift, tuple(notes), in_feet(wide, reference, shift, margin))
+    return Comparison(figures, difference, grid, shift, tuple(notes), in_other_unit(wide, reference, shift, margin))
 
 
 def _named(text: str, surface: str, reference: str) -> str:

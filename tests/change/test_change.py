@@ -293,7 +293,7 @@ def test_a_heap_that_has_grown_to_three_times_its_height_is_not_in_feet(
     done = run(tmp_path / "old.tif", tmp_path / "new.tif", "--out", tmp_path / "out")
     # where all of it has grown, only the file can say so
     assert done.exit_code == (1 if units is None and radius > 40 else 0)
-    assert ("-units ft, or m if they are)" in done.stderr) == bool(done.exit_code)
+    assert ("-units ft, or -units m if they are)" in done.stderr) == bool(done.exit_code)
 
 
 def test_rasters_of_other_numbers_than_heights_are_refused(tmp_path: Path) -> None:

@@ -58,6 +58,19 @@ def test_a_surface_in_feet_is_refused(tmp_path: Path) -> None:
     refused(compared(tmp_path, in_feet, town()), "found.tif: found heights that are 3.28 times the other surface's")
 
 
+@pytest.mark.parametrize(("parts", "unit", "scale"), [(10, "decimetres", "0.1"), (100, "centimetres", "0.01")])
+@pytest.mark.parametrize("wrong", ["found", "truth"])
+def test_parts_of_metres_that_do_not_say_so_are_refused(
+    tmp_path: Path, wrong: str, parts: int, unit: str, scale: str
+) -> None:
+    """Elevation models in whole centimetres had errors of kilometres, without a word."""
+    heights = {"found": matched(), "truth": town()}
+    heights[wrong] = (heights[wrong] * parts).round().astype(np.int16)
+    told = f"{wrong}.tif: found heights that are {parts} times the other surface's, as {unit} are, expected metres"
+    result = compared(tmp_path, heights["found"], heights["truth"])
+    refused(result, f"{told} (or a file that says its scale: gdal_edit.py -scale {scale})")
+
+
 @pytest.mark.parametrize("share", [0.0, 0.5, 2.0])
 def test_bad_surfaces_are_scored(tmp_path: Path, share: float) -> None:
     """Flattened and exaggerated ones, with 4 m of noise."""
