@@ -70,7 +70,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         return apply(run, scene, lambda scene, progress: export(scene, ExportOptions(), progress, overwrite))[0]
 
     def ahead() -> None:
-        from sattools.compare.stage import check_options
+        from sattools.compare.gate import check_options
 
         check_options(options)
         if not (options.truth or options.dsm) and waits():
@@ -92,7 +92,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
 def _check(options: CompareOptions, scene: Scene, overwrite: bool) -> None:
     """What is in the way of scoring a scene, or of the export that comes first."""
-    from sattools.compare.stage import check_ahead, check_start
+    from sattools.compare.gate import check_ahead, check_start
 
     if _left_out(scene):
         _check_with_export(options, scene, overwrite)
@@ -104,7 +104,7 @@ def _check(options: CompareOptions, scene: Scene, overwrite: bool) -> None:
 
 def _check_with_export(options: CompareOptions, scene: Scene, overwrite: bool) -> None:
     """What is in the way of an export and of scoring what it makes, which must not replace what it is scored by."""
-    from sattools.compare.stage import check_ahead, given_files
+    from sattools.compare.gate import check_ahead, given_files
     from sattools.export.stage import check_start as check_export
 
     reason = _left_out(scene)
@@ -157,7 +157,8 @@ def _unused(options: CompareOptions, scenes: tuple[str, ...]) -> str | None:
 
 
 def _compare_file(options: CompareOptions, overwrite: bool, dry_run: bool, show: bool) -> None:
-    from sattools.compare.stage import check_file, compare_file
+    from sattools.compare.gate import check_file
+    from sattools.compare.stage import compare_file
     from sattools.compare.text import table, to_json
 
     if show:

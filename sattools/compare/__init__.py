@@ -10,20 +10,20 @@ if TYPE_CHECKING:
     from sattools.compare.metrics import image_errors, map_errors
     from sattools.compare.options import CompareOptions
     from sattools.compare.registration import Registration, register
-    from sattools.compare.stage import compare, compare_dsm, compare_file, read_truth
+    from sattools.compare.stage import compare, compare_dsm, compare_file
     from sattools.compare.surface import Comparison
     from sattools.compare.text import table
-    from sattools.compare.truth import Truth, read_dfc2019, read_reference
+    from sattools.compare.truth import Truth, read_dfc2019, read_reference, read_truth
 
 _HOMES = {
     "heights": ("height_errors",),
     "metrics": ("image_errors", "map_errors"),
     "options": ("CompareOptions",),
     "registration": ("Registration", "register"),
-    "stage": ("compare", "compare_dsm", "compare_file", "read_truth"),
+    "stage": ("compare", "compare_dsm", "compare_file"),
     "surface": ("Comparison",),
     "text": ("table",),
-    "truth": ("Truth", "read_dfc2019", "read_reference"),
+    "truth": ("Truth", "read_dfc2019", "read_reference", "read_truth"),
 }
 
 

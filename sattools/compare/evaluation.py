@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sattools.compare.brdf import AMPLITUDE, PLAIN, SHAPE, brdf_figure, errors, place_in, place_of, unit_vector
+from sattools.compare.gate import check_scene
 from sattools.compare.images import FIGURES
 from sattools.compare.options import CompareOptions, name_and_file
 from sattools.compare.points import Point, Values, band_of, compare_points, filed, read_points, sampled, with_values_of
-from sattools.compare.stage import check_scene, score
+from sattools.compare.stage import score
 from sattools.compare.text import to_json
 from sattools.errors import InputError
 from sattools.progress import Progress, silent

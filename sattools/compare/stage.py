@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -11,37 +11,27 @@ from typing import Any, Literal
 import numpy as np
 
 from sattools.compare.doubts import check_metres
-from sattools.compare.images import check_views, compare_views
+from sattools.compare.gate import BESIDE, DIFFERENCE, ERRORS, PICTURE, begun, check_file, scatter_href
+from sattools.compare.images import compare_views
 from sattools.compare.maps import Pair, compare_map
 from sattools.compare.options import CompareOptions, name_and_file
 from sattools.compare.picture import PREDICTION, difference_picture, scatter_picture
 from sattools.compare.surface import Comparison, FiledSurface, HeldSurface, Surface, compare_surface
 from sattools.compare.text import to_json
-from sattools.compare.truth import (
-    Truth,
-    check_dsm,
-    check_tile,
-    crs_on_ground,
-    grid_on_ground,
-    open_reference,
-    read_dfc2019,
-)
-from sattools.errors import InputError, MissingProductError
+from sattools.compare.truth import Truth, read_truth
+from sattools.errors import InputError
 from sattools.progress import Progress, silent
 from sattools.scene.cog import CogWriter
 from sattools.scene.datums import difference as datums_differ
-from sattools.scene.dependencies import STAGES, begin, check_current, may_begin, names_of
+from sattools.scene.dependencies import begin
 from sattools.scene.document import Scene
-from sattools.scene.files import all_or_nothing, check_outputs, write_text
+from sattools.scene.files import all_or_nothing, write_text
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.location import is_remote
 from sattools.scene.raster import heights_above
 from sattools.scene.stored import pieces
 
 log = logging.getLogger(__name__)
-BESIDE = ("difference.tif", "difference.png")  # of a file that is scored without a scene
-DIFFERENCE, PICTURE, ERRORS = "compare/difference.tif", "compare/difference.png", "compare/errors.json"
 
 
 @dataclass(frozen=True)
@@ -82,37 +72,6 @@ def compare_dsm(
     return replace(result, difference=np.asarray(result.difference))
 
 
-def read_truth(
-    options: CompareOptions, scene: Scene | None = None, folder: Path | None = None, crs: str | None = None
-) -> Truth:
-    """The reference that the options name, else the truth that a simulated scene brings along.
-
-    Args:
-        options: of the stage.
-        scene: that is scored, or None.
-        folder: for temporary files, if large maps are to be read by rows (`open_reference`); None = the system's.
-        crs: onto which a reference in degrees comes [m]; None = the scene's, else UTM.
-    """
-    crs = scene.grid.crs if crs is None and scene and scene.grid else crs
-    if options.truth and options.dsm:
-        raise InputError("found both --truth and --dsm, expected one of them")
-    if options.truth:
-        aoi = options.aoi or (scene.id if scene else None)
-        if aoi is None:
-            raise InputError("found --truth without a scene, expected --aoi NAME as well")
-        truth = read_dfc2019(options.truth, aoi)
-    elif options.dsm:
-        truth = open_reference(options.dsm, options.classes, folder, crs)
-    elif scene and "truth_dsm" in scene.products:
-        classes = scene.products.get("truth_classes")
-        own = scene.path(classes) if classes else None
-        truth = open_reference(scene.path(scene.products["truth_dsm"]), own, folder)
-    else:
-        of = f"scene {scene.id}: " if scene else ""
-        raise InputError(f"{of}found no reference, expected --truth DIR or --dsm FILE")
-    return truth.within(options.region) if options.region else truth
-
-
 def compare(options: CompareOptions, scene: Scene, progress: Progress = silent, overwrite: bool = False) -> JsonObject:
     """Score a scene's DSM (and maps and views where asked for); writes `compare/difference.tif`, `.png`, `errors.json`.
 
@@ -124,133 +83,19 @@ def compare(options: CompareOptions, scene: Scene, progress: Progress = silent, 
         progress: told the share done and what is being done.
         overwrite: replace outputs that are there.
     """
-    hrefs, given = _begun(options, scene)
+    hrefs, given = begun(options, scene)
     outputs = begin(scene, "compare", hrefs, overwrite, given)
     scored = score(options, scene, progress, scene.root)
     figures, result = scored.figures, scored.surface
     for name, (found, reference) in scored.maps.items():
         if scored.figures["parameters"][name]["n"]:
-            scatter_picture(found, reference, name, scene.output(_scatter_href(name)))
+            scatter_picture(found, reference, name, scene.output(scatter_href(name)))
     progress(0.8, "difference map")
     _write_difference(result, outputs[DIFFERENCE], outputs[PICTURE])
     write_text(outputs[ERRORS], to_json(figures, indent=1) + "\n")
     scene.products |= {"difference": DIFFERENCE, "errors": ERRORS}
     progress(1.0, "done")
     return figures
-
-
-def check_start(options: CompareOptions, scene: Scene, overwrite: bool = False) -> None:
-    """What `compare` looks at before its work, for a dry run; arguments and errors as of `compare`.
-
-    Args:
-        options: of the stage.
-        scene: is changed.
-        overwrite: replace outputs that are there.
-    """
-    hrefs, given = _begun(options, scene)
-    may_begin(scene, "compare", hrefs, overwrite, given)
-    read_truth(options, scene, scene.root)
-
-
-def check_ahead(
-    options: CompareOptions, scene: Scene, overwrite: bool = False, made: Collection[str] | None = None
-) -> None:
-    """What `compare` will look at, of a scene whose maps are about to be made; arguments and errors as of `compare`.
-
-    Args:
-        options: of the stage.
-        scene: is changed.
-        overwrite: replace outputs that are there.
-        made: hrefs of what `export` will write; None = nobody knows yet.
-    """
-    may_begin(scene, "compare", _hrefs(options), overwrite, given_files(options, scene))
-    read_truth(options, scene, scene.root)
-    _check_asked(options, replace(scene, items=[]), made)
-
-
-def check_options(options: CompareOptions) -> None:
-    """What `check_start` can tell without a scene: whether the files that the options name can be what they have to be.
-
-    Args:
-        options: of the stage; their files are there.
-
-    Raises:
-        InputError: a reference without heights, a folder without tiles, samples or weights that are none.
-    """
-    if options.truth:
-        check_tile(Path(options.truth), options.aoi)
-    if options.dsm:
-        check_dsm(Path(options.dsm), options.classes)
-    for path in name_and_file(options.map, "--map").values():
-        crs_on_ground(path)
-    if options.points:
-        from sattools.compare.points import read_points
-
-        read_points(Path(options.points))
-    if options.views and options.lpips_weights:
-        from sattools.compare.perceptual import read_weights
-
-        read_weights(tuple(options.lpips_weights))
-
-
-def given_files(options: CompareOptions, scene: Scene) -> list[Path]:
-    """The files that the options name, beside the scene's own."""
-    maps = name_and_file(options.map, "--map").values()
-    given = [options.dsm, options.classes, options.points, *options.lpips_weights, *maps]
-    tile = Path(options.truth).glob(f"{options.aoi or scene.id}_*") if options.truth else ()
-    return [*(Path(path) for path in given if path), *tile]
-
-
-def _hrefs(options: CompareOptions) -> list[str]:
-    """What will be written."""
-    return [DIFFERENCE, PICTURE, ERRORS, *(_scatter_href(name) for name in name_and_file(options.map, "--map"))]
-
-
-def _begun(options: CompareOptions, scene: Scene) -> tuple[list[str], list[Path]]:
-    """Hrefs of what will be written, and the files given beside the scene's; raises where the scene lacks some."""
-    hrefs, given = _hrefs(options), given_files(options, scene)
-    check_scene(scene)
-    _check_asked(options, scene)
-    return hrefs, given
-
-
-def _check_asked(options: CompareOptions, scene: Scene, made: Collection[str] | None = ()) -> None:
-    """Raise where a map, a sample or a rendered view that is to be scored is not there.
-
-    Args:
-        options: of the stage.
-        scene: the scene.
-        made: hrefs of maps that are about to be made; None = nobody knows which.
-    """
-    for name, path in name_and_file(options.map, "--map").items():
-        if made is not None and name not in scene.products and f"export/{name}.tif" not in made:
-            expected = ", ".join(_maps(scene, made)) or "those made by `sattools export`"
-            raise MissingProductError(f"scene {scene.id}: found no product {name!r}, expected one of {expected}")
-        if not is_remote(str(path)):
-            if not path.exists():
-                raise InputError(f"{path}: no such file, expected one for --map {name}")
-            grid_on_ground(path, scene.grid.crs if scene.grid else None)
-    if options.points:
-        from sattools.compare.points import read_points
-
-        read_points(Path(options.points))
-    if options.views:  # last: on a pipe of dry runs they would be there
-        check_views(scene)
-
-
-def _maps(scene: Scene, made: Collection[str]) -> list[str]:
-    """Names of the exported maps that a scene has or is about to have."""
-    own = {name: href for name, href in scene.products.items() if name in names_of(STAGES["export"])}
-    there = [name for name, href in own.items() if href.endswith(".tif")]
-    ahead = [Path(href).stem for href in made if Path(href).match("export/*.tif")]
-    return list(dict.fromkeys([*there, *ahead]))
-
-
-def check_scene(scene: Scene) -> None:
-    """Raises SceneError, StaleError: a scene without a DSM, or whose DSM is not of its last fit."""
-    if "dsm" not in scene.products:
-        raise MissingProductError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
-    check_current(scene, "export")
 
 
 def score(options: CompareOptions, scene: Scene, progress: Progress = silent, folder: Path | None = None) -> Scored:
@@ -303,24 +148,6 @@ def compare_file(options: CompareOptions, overwrite: bool = False) -> JsonObject
     return {"predicted": options.predicted, **result.figures, **about}
 
 
-def check_file(options: CompareOptions, overwrite: bool = False) -> tuple[Truth, FiledSurface]:
-    """What `compare_file` looks at before its work: the reference and the surface that it scores.
-
-    Args:
-        options: of the stage.
-        overwrite: replace outputs that are there.
-    """
-    assert options.predicted is not None
-    surface = FiledSurface(Path(options.predicted))
-    surface.check()
-    truth = read_truth(options, crs=crs_on_ground(surface.path))
-    if options.out:
-        given = [options.predicted, options.dsm, options.classes]
-        outputs = [Path(options.out) / name for name in BESIDE]
-        check_outputs(outputs, [Path(path) for path in given if path], overwrite)
-    return truth, surface
-
-
 def _checked(result: Comparison, surface: FiledSurface, truth: Truth, notes: Sequence[str]) -> JsonObject:
     """Notes for the table, with what speaks against the registration; InputError where a surface is not in metres."""
     check_metres(result.unit, surface.name, truth.source)
@@ -355,10 +182,6 @@ def _compare_points(scene: Scene, path: Path, result: Comparison) -> tuple[list[
         return table, None
     found, expected = ", ".join(sorted(wanted))[:200], f"some of maps that scene {scene.id} has (albedo_1, theta, ...)"
     return table, f"{path}: found values {found}, expected {expected}"
-
-
-def _scatter_href(name: str) -> str:
-    return f"compare/scatter_{name}.png"
 
 
 def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -> tuple[JsonObject, Pair]:

@@ -11,9 +11,10 @@ import numpy as np
 from sattools.camera.ground import check_metres, utm_crs
 from sattools.compare.doubts import check_heights
 from sattools.compare.heights import CLASSES, WATER
-from sattools.compare.options import parse_region
+from sattools.compare.options import CompareOptions, parse_region
 from sattools.errors import InputError, SceneError
 from sattools.scene.datums import horizontal
+from sattools.scene.document import Scene
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import read_text
 from sattools.scene.opening import opened
@@ -194,6 +195,37 @@ def open_reference(
             meant = ", ".join(f"{code} {name}" for code, name in _MEANT.items())
             log.warning("%s: found none of the classes %s: all cells are scored alike, water too", classes, meant)
     return Truth(dsm.stem, "dsm", grid, heights, codes, path=dsm)
+
+
+def read_truth(
+    options: CompareOptions, scene: Scene | None = None, folder: Path | None = None, crs: str | None = None
+) -> Truth:
+    """The reference that the options name, else the truth that a simulated scene brings along.
+
+    Args:
+        options: of the stage.
+        scene: that is scored, or None.
+        folder: for temporary files, if large maps are to be read by rows (`open_reference`); None = the system's.
+        crs: onto which a reference in degrees comes [m]; None = the scene's, else UTM.
+    """
+    crs = scene.grid.crs if crs is None and scene and scene.grid else crs
+    if options.truth and options.dsm:
+        raise InputError("found both --truth and --dsm, expected one of them")
+    if options.truth:
+        aoi = options.aoi or (scene.id if scene else None)
+        if aoi is None:
+            raise InputError("found --truth without a scene, expected --aoi NAME as well")
+        truth = read_dfc2019(options.truth, aoi)
+    elif options.dsm:
+        truth = open_reference(options.dsm, options.classes, folder, crs)
+    elif scene and "truth_dsm" in scene.products:
+        classes = scene.products.get("truth_classes")
+        own = scene.path(classes) if classes else None
+        truth = open_reference(scene.path(scene.products["truth_dsm"]), own, folder)
+    else:
+        of = f"scene {scene.id}: " if scene else ""
+        raise InputError(f"{of}found no reference, expected --truth DIR or --dsm FILE")
+    return truth.within(options.region) if options.region else truth
 
 
 def check_dsm(dsm: Path, classes: Path | str | None) -> None:
