@@ -19,7 +19,7 @@ from sattools.compare.picture import PREDICTION, difference_picture, scatter_pic
 from sattools.compare.surface import Comparison, FiledSurface, HeldSurface, Surface, compare_surface
 from sattools.compare.text import to_json
 from sattools.compare.truth import Truth, read_truth
-from sattools.errors import InputError
+from sattools.errors import InputError, SceneError
 from sattools.progress import Progress, silent
 from sattools.scene.cog import CogWriter
 from sattools.scene.datums import difference as datums_differ
@@ -28,10 +28,14 @@ from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, write_text
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.opening import opened
+from sattools.scene.placement import bounds_of_file, crs_of
 from sattools.scene.raster import heights_above
+from sattools.scene.regrid import bounds_of
 from sattools.scene.stored import pieces
 
 log = logging.getLogger(__name__)
+SMALL_PART = 0.5  # of a reference
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ def score(options: CompareOptions, scene: Scene, progress: Progress = silent, fo
     """
     truth = read_truth(options, scene, folder)
     path = scene.path(scene.products["dsm"])
-    notes = _datums(path, options)
+    notes = [*_datums(path, options), *_small_part(path, truth)]
     progress(0.1, "registering")
     validity = scene.products.get("validity")
     surface = FiledSurface(path, scene.path(validity) if validity else None)
@@ -137,7 +141,7 @@ def compare_file(options: CompareOptions, overwrite: bool = False) -> JsonObject
     """Score the DSM file `options.predicted` without a scene; the difference map goes below `options.out` if given."""
     assert options.predicted is not None  # the caller chooses this function by it
     truth, surface = check_file(options, overwrite)
-    notes = _datums(Path(options.predicted), options)
+    notes = [*_datums(surface.path, options), *_small_part(surface.path, truth)]
     result = compare_surface(surface, truth, options.register)
     about = _checked(result, surface, truth, notes)
     if options.out:
@@ -165,6 +169,29 @@ def _datums(predicted: Path, options: CompareOptions) -> list[str]:
     if text is None:
         return []
     log.warning("%s (the mean is registered away unless --register none)", text)
+    return [text]
+
+
+def _small_part(dsm: Path, truth: Truth) -> list[str]:
+    """A warning, and the same for the table, where a DSM lies on a small part of a reference that counts as a whole."""
+    if truth.region:
+        return []
+    with opened(dsm) as data:
+        own, around = crs_of(data, dsm), bounds_of_file(data)
+    try:
+        found = bounds_of(truth.grid.crs, own, around)
+    except SceneError:  # told with both names where heights are brought there
+        return []
+    west, south, east, north = truth.grid.bounds
+    box = max(west, found[0]), max(south, found[1]), min(east, found[2]), min(north, found[3])
+    share = max(0.0, box[2] - box[0]) * max(0.0, box[3] - box[1]) / ((east - west) * (north - south))
+    if not 0 < share < SMALL_PART:
+        return []
+    text = (
+        f"the DSM lies on {100 * share:.2g} % of the reference, and completeness and filled holes are about all of it; "
+        f"--region {','.join(f'{edge:.10g}' for edge in box)} scores that part"
+    )
+    log.warning("%s", text)
     return [text]
 
 

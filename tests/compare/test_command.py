@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from sattools.cli import main
 from sattools.compare.text import table
 from sattools.scene import Grid, Scene
-from sattools.scene.raster import write_cog
+from sattools.scene.raster import read_raster, write_cog
 
 GRID = Grid("EPSG:32617", 436000.0, 3357800.0, 1.0, 60, 60)
 
@@ -45,6 +45,27 @@ def test_files_are_scored_without_a_scene(scene: Any) -> None:
     result = CliRunner().invoke(main, ["compare", "--predicted", str(predicted), "--dsm", str(reference)])
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["shift_m"] == pytest.approx([0.0, 0.0, -2.0])
+
+
+@pytest.mark.parametrize(("rows", "said"), [(slice(15, 35), True), (slice(10, 40), False)])
+def test_a_file_on_a_small_part_of_the_reference_is_told_the_region_that_it_lies_on(
+    scene: Any, rows: slice, said: bool
+) -> None:
+    """Of a surface beside a large tile of lidar next to nothing was complete, and holes were filled to its rims."""
+    reference, part = scene.root / "truth/SIM_1_DSM.tif", GRID.part(rows, slice(0, 60))
+    write_cog(scene.root / "part.tif", read_raster(reference, part)[0], part)
+    files = ["compare", "--predicted", str(scene.root / "part.tif"), "--dsm", str(reference), "--register", "none"]
+    whole = CliRunner().invoke(main, files)
+    figures = json.loads(whole.stdout)
+    assert figures["completeness"] == pytest.approx((rows.stop - rows.start) / 60)
+    region = "436000,3357765,436060,3357785"
+    told = "the DSM lies on 33 % of the reference, and completeness and filled holes are about all of it; "
+    told += f"--region {region} scores that part"
+    assert (told in whole.stderr) == said
+    assert ("notes" in figures) == said
+    if said:
+        within = CliRunner().invoke(main, [*files, "--region", region])
+        assert (json.loads(within.stdout)["completeness"], "the DSM lies on" in within.stderr) == (1.0, False)
 
 
 @pytest.mark.parametrize("more", [["--map", "w=w.tif"], ["--points", "p.csv"], ["--views"], ["scene.json"]])
