@@ -74,6 +74,7 @@ PLATFORM_BANDS: Mapping[str, Sequence[Band]] = {
 # of STAC, as far as sensors of optical satellites have them
 COMMON_NAMES = ("pan", "coastal", "blue", "green", "yellow", "red", "rededge", "nir", "nir08", "nir09", "cirrus")
 WORLDVIEW_BANDS = ("C", "B", "G", "Y", "R", "RE", "N", "N2")  # order of an eight-band product
+RGB_OF_EIGHT = [5, 3, 2]  # numbers of the bands among them
 WORLDVIEW_FOUR = ("B", "G", "R", "N")  # order of a four-band product
 
 
@@ -200,6 +201,7 @@ __all__ = [
     "BANDS_MEMBER",
     "COMMON_NAMES",
     "PLATFORM_BANDS",
+    "RGB_OF_EIGHT",
     "WORLDVIEW_BANDS",
     "WORLDVIEW_FOUR",
     "Band",

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from sattools.camera.ground import direction
 from sattools.errors import SceneError
-from sattools.radiometry import stage
+from sattools.radiometry import blocks
 from sattools.radiometry.atmosphere import HAZY, darkest, rayleigh_transmittance
 from sattools.radiometry.options import NormaliseOptions
 from sattools.radiometry.stage import check_start, normalise
@@ -77,7 +77,7 @@ def test_an_image_that_keeps_its_air_as_nothing_tells_it_is_told(
     make_scene: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of large images pixels at even distances tell it, here two of the first row, which has no data."""
-    monkeypatch.setattr(stage, "TOLD", 1)
+    monkeypatch.setattr(blocks, "TOLD", 1)
     whole = as_numbers(ground(np.random.default_rng(0)))
     framed = whole.copy()
     framed[:, 0] = 0

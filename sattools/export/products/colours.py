@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sattools.export.products.maps import Maps
-from sattools.radiometry.stage import RGB_OF_EIGHT
+from sattools.radiometry.bands import RGB_OF_EIGHT
 from sattools.scene.opening import opened
 
 _TAILS = (0.5, 99.5)  # per cent of the values that are clipped below and above
