@@ -8,11 +8,13 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from sattools.camera.rpc_formats import read_text
 from sattools.errors import InputError
+from sattools.radiometry.bands import WORLDVIEW_BANDS, WORLDVIEW_FOUR
 from sattools.scene.xmlio import find_all, local_name, parse_xml
 
 # Mean solar irradiance outside the atmosphere [W / m^2 / um] at 1 astronomical unit (Thuillier et al. 2003), from
@@ -27,6 +29,9 @@ SOLAR_IRRADIANCE = {
         "N": 1053.21, "N2": 856.599,
     },
 }  # fmt: skip
+# radiometric enhancements (DigitalGlobe) and processings (DIMAP) that leave the numbers proportional to radiance; the
+# gains of DIMAP's linear stretch are of what it has stretched
+_UNCHANGED = ("", "OFF", "NONE", "BASIC", "LINEAR_STRETCH")
 
 
 @dataclass(frozen=True)
@@ -43,45 +48,73 @@ def read_calibration(path: Path) -> list[BandCalibration]:
     """Calibration of every band in a metadata file, in the image's order; empty where the file states none.
 
     DigitalGlobe (.IMD, .XML): gain = absCalFactor / effectiveBandwidth (Kuester 2016, eq. 1, with gain 1 and offset 0).
-    DIMAP: radiance = DN / GAIN + BIAS, with the solar irradiance beside it.
+    DIMAP: radiance = DN / GAIN + BIAS, with the solar irradiance beside it. It is of the numbers that the sensor has
+    delivered, see `processing_of`.
 
     Raises:
         InputError: unreadable, or numbers that cannot be a calibration.
     """
-    suffix = path.suffix.lower()
-    if suffix == ".imd":
-        return _digitalglobe(path, _imd_groups(read_text(path)))
-    if suffix != ".xml":
+    if path.suffix.lower() not in (".imd", ".xml"):
         return []
+    root, groups, said = _parsed(path)
+    return _dimap(path, root) if _is_dimap(root) else _digitalglobe(path, groups, said.get("BANDID", ""))
+
+
+def processing_of(path: Path) -> str | None:
+    """What a vendor has made of the numbers that its calibration is of (``ACOMP``, ``DISPLAY``); None = nothing.
+
+    Args:
+        path: the metadata file.
+
+    Raises:
+        InputError: unreadable.
+    """
+    if path.suffix.lower() not in (".imd", ".xml"):
+        return None
+    root, _, said = _parsed(path)
+    found = said.get("RADIOMETRIC_PROCESSING" if _is_dimap(root) else "RADIOMETRICENHANCEMENT", "").upper()
+    return None if found in _UNCHANGED else found
+
+
+def _is_dimap(root: Any) -> bool:
+    return root is not None and local_name(root) == "Dimap_Document"
+
+
+def _parsed(path: Path) -> tuple[Any, dict[str, dict[str, str]], dict[str, str]]:
+    """Root of XML, DigitalGlobe's groups of bands, and the first of all values by their names in capitals."""
+    if path.suffix.lower() == ".imd":
+        text = read_text(path)
+        found = re.finditer(r"BEGIN_GROUP\s*=\s*BAND_(\w+)(.*?)END_GROUP", text, re.DOTALL)
+        return None, {group[1]: _values(group[2]) for group in found}, _values(text)
     root = parse_xml(path)
-    if local_name(root) == "Dimap_Document":
-        return _dimap(path, root)
     blocks = [e for e in root.iter() if local_name(e).startswith("BAND_")]
-    return _digitalglobe(
-        path, {local_name(b)[5:]: {local_name(e).upper(): (e.text or "").strip() for e in b.iter()} for b in blocks}
-    )
+    return root, {local_name(block)[5:]: _texts(block) for block in blocks}, _texts(root)
 
 
-def _imd_groups(text: str) -> dict[str, dict[str, str]]:
-    groups = re.finditer(r"BEGIN_GROUP\s*=\s*BAND_(\w+)(.*?)END_GROUP", text, re.DOTALL)
-    return {
-        g[1]: {m[1].upper(): m[2].strip().strip('"') for m in re.finditer(r"(\w+)\s*=\s*([^;\n]+)", g[2])}
-        for g in groups
-    }
+def _values(text: str) -> dict[str, str]:
+    found = list(re.finditer(r"(\w+)\s*=\s*([^;\n]+)", text))
+    return {match[1].upper(): match[2].strip().strip('"') for match in reversed(found)}
 
 
-def _digitalglobe(path: Path, groups: dict[str, dict[str, str]]) -> list[BandCalibration]:
-    rows = []
+def _texts(element: Any) -> dict[str, str]:
+    return {local_name(e).upper(): (e.text or "").strip() for e in reversed(list(element.iter()))}
+
+
+def _digitalglobe(path: Path, groups: dict[str, dict[str, str]], product: str) -> list[BandCalibration]:
+    rows = {}
     for name, values in groups.items():
-        if "ABSCALFACTOR" not in values or "EFFECTIVEBANDWIDTH" not in values:
+        factor = values.get("ABSCALFACTOR", "-")
+        if factor.startswith("-") or "EFFECTIVEBANDWIDTH" not in values:  # -1, -999: not stated
             continue
-        factor = number_of(path, f"absCalFactor of band {name}", values["ABSCALFACTOR"])
         width = number_of(path, f"effectiveBandwidth of band {name}", values["EFFECTIVEBANDWIDTH"])
-        rows.append(BandCalibration(name, factor / width))
-    return rows
+        gain = number_of(path, f"absCalFactor of band {name}", factor) / width
+        rows[name] = BandCalibration(name, gain)
+    # RGB and NRG are products of three bands
+    orders = (tuple(product.upper()), WORLDVIEW_BANDS, WORLDVIEW_FOUR)
+    return [rows[name] for name in next((order for order in orders if set(order) == set(rows)), rows)]
 
 
-def _dimap(path: Path, root: object) -> list[BandCalibration]:
+def _dimap(path: Path, root: Any) -> list[BandCalibration]:
     def table(tag: str, key: str) -> dict[str, dict[str, str]]:
         rows = [{local_name(e): (e.text or "").strip() for e in block.iter()} for block in find_all(root, tag)]
         return {row["BAND_ID"]: row for row in rows if "BAND_ID" in row and key in row}
@@ -166,6 +199,7 @@ __all__ = [
     "earth_sun_distance",
     "in_order",
     "number_of",
+    "processing_of",
     "read_calibration",
     "reflectance",
     "with_irradiance",

@@ -7,16 +7,16 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from sattools.errors import InputError, SceneError, counted
-from sattools.radiometry.bands import WORLDVIEW_BANDS, names_of
+from sattools.radiometry.bands import names_of
 from sattools.radiometry.calibration import (
     BandCalibration,
     earth_sun_distance,
+    processing_of,
     read_calibration,
     reflectance,
     with_irradiance,
@@ -25,6 +25,7 @@ from sattools.radiometry.declared import Declared, parse_scale, read_declared, s
 from sattools.radiometry.linear import eight_bits, full_scale, item_bits
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import Item, Scene
+from sattools.scene.members import instant
 from sattools.scene.sidecars import sidecars
 
 REFLECTANCES = ("toa_reflectance", "reflectance_factor")
@@ -39,11 +40,13 @@ class ImageScale:
         item: the image.
         declared: its numbers are a quantity already; or None.
         calibration: radiance per number, band by band; or empty.
+        foreign: why the calibration is not of the image's numbers; None where it is.
     """
 
     item: Item
     declared: Declared | None
     calibration: tuple[BandCalibration, ...]
+    foreign: str | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -79,7 +82,7 @@ class ImageScale:
         """
         if self.declared is not None and self.reflectance is not None:
             return self.declared.apply(numbers, list(bands))
-        distance = earth_sun_distance(datetime.fromisoformat(self.item.properties["datetime"]))
+        distance = earth_sun_distance(instant(self.item.properties["datetime"]))
         elevation = self.item.sun[1] if quantity == "toa_reflectance" and self.item.sun else None
         return reflectance(numbers, [self.calibration[b - 1] for b in bands], distance, elevation)
 
@@ -93,6 +96,8 @@ class ImageScale:
         count = properties.get("sattools:bands")
         if self.declared is not None and self.declared.quantity is None:
             return f"{self.declared.source} states a scale but not of what (expected --quantity)"
+        if self.foreign is not None:
+            return self.foreign
         if eight_bits(properties) and self.declared is None:
             return "it has 8-bit, tone-mapped numbers"
         if bands and self.declared is not None and any(b.irradiance is None for b in bands):
@@ -233,15 +238,15 @@ def declared_by_user(options: NormaliseOptions) -> Declared | None:
 
 def _of_image(scene: Scene, item: Item, options: NormaliseOptions, declared: Declared | None) -> ImageScale:
     copy, original, files = _files(scene, item, options)
-    bands = _calibration(files, item)
+    bands, foreign = _calibration(files, item)
     if declared is None:
         declared = _stated(copy, original, files) or _simulated(item)
         if declared is not None and declared.quantity is None:
             asked = options.quantity if options.quantity in (*REFLECTANCES, "radiance") else None
-            declared = None if bands else replace(declared, quantity=asked)
+            declared = None if bands and not foreign else replace(declared, quantity=asked)
     if declared is not None and declared.quantity == "radiance":
-        bands = _radiance_bands(declared, item, bands)
-    return ImageScale(item, declared, tuple(bands))
+        bands, foreign = _radiance_bands(declared, item, bands), None
+    return ImageScale(item, declared, tuple(bands), foreign)
 
 
 def _simulated(item: Item) -> Declared | None:
@@ -266,16 +271,15 @@ def _radiance_bands(declared: Declared, item: Item, bands: list[BandCalibration]
     return with_irradiance(rows, item.properties.get("platform"))
 
 
-def _calibration(files: Sequence[Path], item: Item) -> list[BandCalibration]:
-    """Calibration per band of the image, from the first metadata file that has one; empty if there is none."""
+def _calibration(files: Sequence[Path], item: Item) -> tuple[list[BandCalibration], str | None]:
+    """Calibration per band of the image by the first metadata file that has one, and why it is not of its numbers."""
     for path in files:
         bands = with_irradiance(read_calibration(path), item.properties.get("platform"))
-        order = {name: k for k, name in enumerate(WORLDVIEW_BANDS)}
-        if bands and all(b.name in order for b in bands):
-            bands.sort(key=lambda b: order[b.name])
         if bands:
-            return bands
-    return []
+            processing = processing_of(path)
+            foreign = f"{path.name} says that its numbers are {processing}, which are not those of its calibration"
+            return bands, foreign if processing else None
+    return [], None
 
 
 __all__ = ["REFLECTANCES", "ImageScale", "choose_quantity", "contradictions", "declared_by_user", "image_scales"]

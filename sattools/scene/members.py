@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any
 
 from sattools.errors import InputError
@@ -19,6 +19,16 @@ _ANGLE = Number(-360, 360, unit="degrees")
 _HREF = Text()
 _VECTOR = Items(Number(-1.001, 1.001), 3, 3)
 _DIMENSIONS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2, "Polygon": 2, "MultiPolygon": 3}
+
+
+def instant(text: str) -> datetime:
+    """What time a text means, UTC where it names no clock; texts of other clocks, or with fractions, sort otherwise.
+
+    Args:
+        text: as `Time` has checked it.
+    """
+    time = datetime.fromisoformat(text)
+    return time if time.tzinfo else time.replace(tzinfo=UTC)
 
 
 class Time:
@@ -240,4 +250,5 @@ __all__ = [
     "PROPERTIES",
     "ROLES",
     "check_members",
+    "instant",
 ]

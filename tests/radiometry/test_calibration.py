@@ -15,12 +15,9 @@ from sattools.radiometry.options import NormaliseOptions
 from sattools.radiometry.stage import normalise
 from sattools.scene.raster import read_image
 
-WV3_FACTORS = {"C": 9.3, "B": 7.0, "G": 5.7, "Y": 5.1, "R": 5.9, "RE": 4.2, "N": 5.9, "N2": 4.9}
-IMD = "version = AA;\n" + "".join(
-    f"BEGIN_GROUP = BAND_{name}\n\tabsCalFactor = {factor}e-03;\n\teffectiveBandwidth = 5.0e-02;\n"
-    f"END_GROUP = BAND_{name}\n"
-    for name, factor in WV3_FACTORS.items()
-)
+FACTORS = {"P": 9.5, "C": 9.3, "B": 7.0, "G": 5.7, "Y": 5.1, "R": 5.9, "RE": 4.2, "N": 5.3, "N2": 4.9}
+XML_BAND = "<BAND_P><ABSCALFACTOR>0.01</ABSCALFACTOR><EFFECTIVEBANDWIDTH>0.3</EFFECTIVEBANDWIDTH></BAND_P>"
+EIGHT = "C B G Y R RE N N2"
 DIMAP = """<Dimap_Document><Radiometric_Data><Radiometric_Calibration><Instrument_Calibration><Band_Measurement_List>
 <Band_Radiance><BAND_ID>B0</BAND_ID><BIAS>1</BIAS><GAIN>10</GAIN></Band_Radiance>
 <Band_Radiance><BAND_ID>B2</BAND_ID><BIAS>0</BIAS><GAIN>8</GAIN></Band_Radiance>
@@ -29,6 +26,15 @@ DIMAP = """<Dimap_Document><Radiometric_Data><Radiometric_Calibration><Instrumen
 </Band_Measurement_List></Instrument_Calibration></Radiometric_Calibration></Radiometric_Data>
 <Raster_Index_List><Raster_Index><BAND_ID>B2</BAND_ID><BAND_INDEX>1</BAND_INDEX></Raster_Index>
 <Raster_Index><BAND_ID>B0</BAND_ID><BAND_INDEX>2</BAND_INDEX></Raster_Index></Raster_Index_List></Dimap_Document>"""
+
+
+def imd(names: str, **said: str) -> str:
+    """Metadata of WorldView bands in the order in which they are listed."""
+    lines = [f'{name} = "{value}";' for name, value in said.items()]
+    for name in names.split():
+        lines += [f"BEGIN_GROUP = BAND_{name}", f"\tabsCalFactor = {FACTORS[name]}e-03;"]
+        lines += ["\teffectiveBandwidth = 5.0e-02;", f"END_GROUP = BAND_{name}"]
+    return "\n".join(lines)
 
 
 def eight_bands(value: int) -> np.ndarray:
@@ -44,7 +50,7 @@ def result(scene: Any) -> Any:
 def test_reflectance_from_the_calibration_of_a_worldview_image(make_scene: Any, tmp_path: Path) -> None:
     """Red: L = 5.9e-3 / 0.05 * 500 = 59 W/m2/sr/um; E = 1535.33 W/m2/um, d = 1.00778 AU (NREL), sun 30 degrees high."""
     (tmp_path / "meta").mkdir()
-    (tmp_path / "meta/i0.IMD").write_text(IMD)
+    (tmp_path / "meta/i0.IMD").write_text(imd(EIGHT))
     options = NormaliseOptions(metadata=str(tmp_path / "meta"))
     scene = make_scene(eight_bands(100))
     assert normalise(scene, options)["quantity"] == "toa_reflectance"
@@ -104,3 +110,85 @@ def test_a_white_lambertian_surface_has_reflectance_one() -> None:
     band = [BandCalibration("R", 0.1, 0.0, 1500.0)]
     dn = np.full((1, 1, 1), radiance / 0.1)
     assert reflectance(dn, band, 1.0, 40.0)[0, 0, 0] == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("listed", "said", "order"),
+    [
+        ("R G B", {}, "R G B"),
+        ("N R G", {"bandId": "NRG"}, "N R G"),
+        ("B G R", {"bandId": "RGB"}, "R G B"),
+        ("B G N R", {"bandId": "Multi"}, "B G R N"),
+        ("B C G N N2 R RE Y", {"bandId": "Multi"}, "C B G Y R RE N N2"),
+    ],
+)
+def test_worldview_bands_have_the_order_of_their_product(
+    tmp_path: Path, listed: str, said: dict[str, str], order: str
+) -> None:
+    """Natural colours are red, green and blue; all bands are in the order of their wavelengths."""
+    path = tmp_path / "X.IMD"
+    path.write_text(imd(listed, **said))
+    assert [band.name for band in read_calibration(path)] == order.split()
+    assert [band.gain for band in read_calibration(path)] == pytest.approx(
+        [FACTORS[name] / 50 for name in order.split()]
+    )
+
+
+def test_dimap_bands_named_as_worldviews_have_the_order_of_the_raster(make_scene: Any, tmp_path: Path) -> None:
+    """Pleiades Neo calls its bands R, G, B."""
+    bands = "".join(
+        f"<Band_Radiance><BAND_ID>{name}</BAND_ID><GAIN>{gain}</GAIN></Band_Radiance>"
+        f"<Band_Solar_Irradiance><BAND_ID>{name}</BAND_ID><VALUE>1500</VALUE></Band_Solar_Irradiance>"
+        for name, gain in (("R", 5), ("G", 10), ("B", 20))
+    )
+    (tmp_path / "DIM_i0.XML").write_text(f"<Dimap_Document>{bands}</Dimap_Document>")
+    scene = make_scene(np.full((3, 1, 1), 1000, np.uint16), platform="Pleiades-Neo-3")
+    normalise(scene, NormaliseOptions(metadata=str(tmp_path)))
+    assert result(scene) / result(scene)[2] == pytest.approx([4, 2, 1])
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "processing"),
+    [
+        ("i0.IMD", imd(EIGHT, radiometricEnhancement="ACOMP"), "ACOMP"),
+        ("i0.IMD", imd(EIGHT, radiometricEnhancement="DRA"), "DRA"),
+        ("i0.XML", f"<isd><RADIOMETRICENHANCEMENT>ACOMP</RADIOMETRICENHANCEMENT>{XML_BAND}</isd>", "ACOMP"),
+        ("DIM_i0.XML", DIMAP.replace("<Radio", "<RADIOMETRIC_PROCESSING>SEAMLESS</RADIOMETRIC_PROCESSING><Radio", 1),
+         "SEAMLESS"),
+        ("DIM_i0.XML", DIMAP.replace("<Radio", "<RADIOMETRIC_PROCESSING>REFLECTANCE</RADIOMETRIC_PROCESSING><Radio", 1),
+         "REFLECTANCE"),
+    ],
+)  # fmt: skip
+def test_numbers_that_the_vendor_has_processed_are_not_those_of_its_calibration(
+    make_scene: Any, tmp_path: Path, name: str, text: str, processing: str
+) -> None:
+    (tmp_path / name).write_text(text)
+    count = {"i0.IMD": 8, "i0.XML": 1, "DIM_i0.XML": 2}[name]
+    scene = make_scene(np.full((count, 1, 1), 1000, np.uint16))
+    options = NormaliseOptions(metadata=str(tmp_path), bands=["1"])
+    found = normalise(scene, options)
+    assert found["quantity"] == "relative"
+    why = f"{name} says that its numbers are {processing}, which are not those of its calibration"
+    assert found["notes"] == [f"linear up to an unknown factor: {why}"]
+    with pytest.raises(SceneError, match=f"toa_reflectance was asked for, but of i0 {why}"):
+        normalise(scene, replace(options, quantity="toa_reflectance"))
+    declared = replace(options, quantity="toa_reflectance", scale="1/10000")
+    assert normalise(scene, declared)["quantity"] == "toa_reflectance"
+    assert result(scene) == pytest.approx([0.1])
+
+
+def test_a_band_without_a_calibration_is_no_error(make_scene: Any, tmp_path: Path) -> None:
+    """DigitalGlobe writes -1 where it states none."""
+    (tmp_path / "i0.IMD").write_text(imd("P", radiometricEnhancement="Off").replace("9.5e-03", "-1.0"))
+    scene = make_scene(np.full((1, 1, 1), 1000, np.uint16))
+    assert normalise(scene, NormaliseOptions(metadata=str(tmp_path)))["quantity"] == "relative"
+
+
+def test_a_time_that_names_no_clock_is_utc(make_scene: Any, tmp_path: Path) -> None:
+    (tmp_path / "i0.IMD").write_text(imd(EIGHT))
+    found = []
+    for time in ("2015-05-02T00:00:00Z", "2015-05-02T02:00:00+02:00", "2015-05-02T00:00:00", "2015-05-02"):
+        scene = make_scene(eight_bands(100), datetime=time)
+        normalise(scene, NormaliseOptions(metadata=str(tmp_path)))
+        found.append(result(scene).tolist())
+    assert found == [found[0]] * 4

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from sattools.scene.files import write_text, written
 from sattools.scene.globe import outline_on_globe
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.members import instant
 from sattools.scene.opening import opened
 
 COLLECTION, ITEM = "export/collection.json", "export/item.json"
@@ -76,7 +76,7 @@ def write_collection(scene: Scene, grid: Grid) -> None:
         if name in made
     }
     outline, box = _place(grid)
-    times = sorted((str(t) for t in (item.properties.get("datetime") for item in scene.items) if t), key=_instant)
+    times = sorted((str(t) for t in (item.properties.get("datetime") for item in scene.items) if t), key=instant)
     collection = {
         "type": "Collection",
         "stac_version": "1.1.0",
@@ -115,12 +115,6 @@ def write_collection(scene: Scene, grid: Grid) -> None:
             "assets": assets,
         }
         _write(scene, "collection_item", item)
-
-
-def _instant(text: str) -> datetime:
-    """The time that a text means: texts with and without fractions of a second or other clocks sort otherwise."""
-    time = datetime.fromisoformat(text)
-    return time if time.tzinfo else time.replace(tzinfo=UTC)
 
 
 def _write(scene: Scene, product: str, document: JsonObject) -> None:
