@@ -131,14 +131,16 @@ def _dimap(path: Path, root: Any) -> list[BandCalibration]:
 
 
 def in_order(names: Collection[str], places: Mapping[str, str]) -> list[str]:
-    """Bands of a DIMAP document by their numbers in the image; as they are listed where one has none.
+    """Bands of a DIMAP document by their numbers in the image; as they are listed where one of the image has none.
+
+    Bands that the sensor has and the image has not are left out.
 
     Args:
         names: of the bands, as listed.
-        places: name -> ``BAND_INDEX``.
+        places: name -> ``BAND_INDEX``, of those of the image.
     """
-    numbered = set(names) <= set(places) and all(places[name].isdecimal() for name in names)
-    return sorted(names, key=lambda name: int(places[name])) if numbered else list(names)
+    numbered = bool(places) and set(places) <= set(names) and all(place.isdecimal() for place in places.values())
+    return sorted(places, key=lambda name: int(places[name])) if numbered else list(names)
 
 
 def number_of(path: Path, what: str, text: str, positive: bool = True) -> float:

@@ -33,6 +33,12 @@ _STAC = Table(
         "features": Anything(),
     }
 )
+# order of the bands of PlanetScope (4, 8) and RapidEye (5), whose metadata do not name them
+_PLANET = {
+    4: ("blue", "green", "red", "nir"),
+    5: ("blue", "green", "red", "rededge", "nir"),
+    8: ("coastal", "blue", "green_i", "green", "yellow", "red", "rededge", "nir"),
+}
 
 
 @dataclass(frozen=True)
@@ -164,7 +170,7 @@ def _planet(path: Path, root: Any) -> Declared | None:
         number_of(path, f"reflectanceCoefficient of band {k + 1}", row["reflectanceCoefficient"])
         for k, row in enumerate(rows)
     ]
-    return Declared("toa_reflectance", _checked(path, gain), (0.0,) * len(gain), str(path))
+    return Declared("toa_reflectance", _checked(path, gain), (0.0,) * len(gain), str(path), _PLANET.get(len(gain), ()))
 
 
 def _stac(path: Path, image: Path) -> Declared | None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sattools.errors import SceneError
+from sattools.errors import SceneError, counted
 from sattools.radiometry.atmosphere import check_air
 from sattools.radiometry.bands import RGB_OF_EIGHT, eo_bands, numbers_of, red_green_blue
 from sattools.radiometry.kind import ImageScale, choose_quantity, contradictions, image_scales
@@ -47,12 +47,13 @@ class Job:
 
     def bands(self, item: Item, count: int) -> list[int]:
         """Numbers from 1 of the bands to take from an image of so many."""
-        scale, platform = self.scales[item.id], item.properties.get("platform")
+        platform = item.properties.get("platform")
+        said = eo_bands(platform, self.scales[item.id].names, range(1, count + 1))
         if self.options.bands:
-            return numbers_of(self.options.bands, eo_bands(platform, scale.names, range(1, count + 1)), item.id)
+            return numbers_of(self.options.bands, said, item.id)
         if count != 8 or platform not in EIGHT_BAND_PLATFORMS:
             return list(range(1, count + 1))
-        return red_green_blue(item.assets["image"].extra.get("eo:bands") or []) or RGB_OF_EIGHT
+        return red_green_blue(said) or RGB_OF_EIGHT
 
 
 def images_of(scene: Scene) -> list[Item]:
@@ -74,9 +75,15 @@ def job_of(scene: Scene, options: NormaliseOptions) -> tuple[Job, list[str]]:
         notes.append(f"--match: found {quantity}, which the other images are no longer: all are taken as relative")
     bits, darker = _bits(items, options)
     job = Job(scene, options, quantity, scales, bits, alike=darker)
+    taken = {}
     for item in items:
         _check_black(job, item)
-        job.bands(item, image_part(scene, item).bands)
+        taken[item.id] = len(job.bands(item, image_part(scene, item).bands))
+        if taken[item.id] != taken[items[0].id]:
+            raise SceneError(
+                f"{item.id}: found {counted(taken[item.id], 'bands')}, expected {taken[items[0].id]} as of "
+                f"{items[0].id} (--bands takes the same of all)"
+            )
     return job, notes
 
 

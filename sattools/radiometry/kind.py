@@ -51,16 +51,25 @@ class ImageScale:
     @property
     def names(self) -> tuple[str, ...]:
         """The vendor's names of all bands of the image, else its file's own; empty if unknown."""
-        stated = self.declared.names if self.declared else ()
         count = int(self.item.properties.get("sattools:bands") or 0)
+        stated = self.declared.names if self.declared else ()
         written = tuple(str(band["name"]) for band in self.item.assets["image"].extra.get("eo:bands") or [])
         ordered = names_of(self.item.properties.get("platform"), count)
-        return stated or tuple(b.name for b in self.calibration) or written or ordered
+        found = (stated, tuple(b.name for b in self.calibration), written, ordered)
+        return next((names for names in found if names and count in (0, len(names))), ())
+
+    @property
+    def misfit(self) -> str | None:
+        """Why the declared scales cannot be those of the image's bands; None where they can, as one for all can."""
+        count, stated = self.item.properties.get("sattools:bands"), len(self.declared.gain) if self.declared else 1
+        if count is None or self.declared is None or stated in (1, count):
+            return None
+        return f"{Path(self.declared.source).name} states the scales of {stated} bands, the image has {count}"
 
     @property
     def reflectance(self) -> str | None:
         """Which reflectance the numbers are already, but for a scale; None where they are none."""
-        stated = self.declared.quantity if self.declared else None
+        stated = self.declared.quantity if self.declared and not self.misfit else None
         return stated if stated in REFLECTANCES else None
 
     def saturation(self, bits: int) -> float:
@@ -94,6 +103,8 @@ class ImageScale:
         """
         properties, bands = self.item.properties, self.calibration
         count = properties.get("sattools:bands")
+        if self.misfit:
+            return self.misfit
         if self.declared is not None and self.declared.quantity is None:
             return f"{self.declared.source} states a scale but not of what (expected --quantity)"
         if self.foreign is not None:
@@ -244,9 +255,10 @@ def _of_image(scene: Scene, item: Item, options: NormaliseOptions, declared: Dec
         if declared is not None and declared.quantity is None:
             asked = options.quantity if options.quantity in (*REFLECTANCES, "radiance") else None
             declared = None if bands and not foreign else replace(declared, quantity=asked)
-    if declared is not None and declared.quantity == "radiance":
-        bands, foreign = _radiance_bands(declared, item, bands), None
-    return ImageScale(item, declared, tuple(bands), foreign)
+    scale = ImageScale(item, declared, tuple(bands), foreign)
+    if declared is not None and declared.quantity == "radiance" and not scale.misfit:
+        return ImageScale(item, declared, tuple(_radiance_bands(declared, item, bands)))
+    return scale
 
 
 def _simulated(item: Item) -> Declared | None:

@@ -99,6 +99,13 @@ def test_bands_of_a_dimap_without_numbers_are_in_the_order_of_the_list(tmp_path:
     assert [band.name for band in read_calibration(path)] == ["B0", "B2"]
 
 
+def test_bands_of_a_dimap_that_the_raster_has_not_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "DIM_X.XML"
+    more = "<Band_Radiance><BAND_ID>B1</BAND_ID><GAIN>7</GAIN></Band_Radiance><Band_Radiance><BAND_ID>B0<"
+    path.write_text(DIMAP.replace("<Band_Radiance><BAND_ID>B0<", more))
+    assert [(band.name, band.gain) for band in read_calibration(path)] == [("B2", 1 / 8), ("B0", 0.1)]
+
+
 def test_the_sun_is_nearest_in_january() -> None:
     assert earth_sun_distance(datetime(2015, 1, 4, tzinfo=UTC)) == pytest.approx(0.98328, abs=1e-4)
     assert earth_sun_distance(datetime(2015, 7, 6, tzinfo=UTC)) == pytest.approx(1.01668, abs=1e-4)

@@ -332,3 +332,53 @@ def test_bands_have_names_where_the_platform_has_one_order() -> None:
     assert eo_bands(None, (), [2]) == [{"name": "band 2"}]
     for bands in PLATFORM_BANDS.values():
         assert all(0.3 < band.low_um < band.centre_um < band.high_um < 1.1 for band in bands)
+
+
+def planet(*bands: int) -> str:
+    """Metadata in which a band's coefficient is a hundred thousandth of its number."""
+    rows = "".join(
+        f"<bandSpecificMetadata><bandNumber>{band}</bandNumber>"
+        f"<reflectanceCoefficient>{band}e-05</reflectanceCoefficient></bandSpecificMetadata>"
+        for band in bands
+    )
+    return f"<EarthObservation>{rows}</EarthObservation>"
+
+
+@pytest.mark.parametrize("bands", [(1, 2, 3), (1, 2, 3, 4)])
+def test_scales_of_an_image_of_other_bands_are_not_taken(tmp_path: Path, bands: tuple[int, ...]) -> None:
+    """Somebody has cut red, green and blue out of it: which scale is of which band nobody knows."""
+    scene = make_scene(tmp_path, two_bands(), platform=None)
+    (tmp_path / "delivery/i0_metadata.xml").write_text(planet(*bands))
+    found = normalise(scene, NormaliseOptions())
+    why = f"i0_metadata.xml states the scales of {len(bands)} bands, the image has 2"
+    assert (found["quantity"], found["notes"][0]) == ("relative", f"linear up to an unknown factor: {why}")
+    named = [band["name"] for band in scene.items[0].assets["radiance"].extra["eo:bands"]]
+    assert named == ["band 1", "band 2"]  # not blue and green
+    with pytest.raises(SceneError, match=f"toa_reflectance was asked for, but of i0 {why}"):
+        normalise(scene, NormaliseOptions(quantity="toa_reflectance"))
+    normalise(scene, NormaliseOptions(quantity="toa_reflectance", scale="1/10000"))
+    np.testing.assert_allclose(values(scene)[:, 0], [0.1, 0.2], atol=1e-6)
+
+
+def test_radiances_with_scales_of_an_image_of_other_bands_are_not_taken(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, two_bands()[:1])
+    item = {"type": "Feature", "assets": {"data": {"href": "i0.tif", "raster:bands": [{"scale": 0.1}, {"scale": 0.2}]}}}
+    (tmp_path / "delivery/i0.json").write_text(json.dumps(item))
+    with pytest.raises(SceneError, match=r"i0\.json states the scales of 2 bands, the image has 1"):
+        normalise(scene, NormaliseOptions(quantity="radiance"))
+
+
+@pytest.mark.parametrize(
+    ("count", "taken", "names"),
+    [(8, (6, 4, 2), ["red", "green", "blue"]), (4, (1, 2, 3, 4), ["blue", "green", "red", "nir"])],
+)
+def test_planets_bands_are_called_as_its_products_have_them(
+    tmp_path: Path, count: int, taken: tuple[int, ...], names: list[str]
+) -> None:
+    """Red, green and blue of its eight are others than WorldView's."""
+    array = np.full((count, 1, 3), 10000, np.uint16)
+    scene = make_scene(tmp_path, array, platform=None)
+    (tmp_path / "delivery/i0_metadata.xml").write_text(planet(*range(1, count + 1)))
+    normalise(scene, NormaliseOptions())
+    np.testing.assert_allclose(values(scene)[:, 0], [0.1 * number for number in taken], atol=1e-6)
+    assert [band["name"] for band in scene.items[0].assets["radiance"].extra["eo:bands"]] == names

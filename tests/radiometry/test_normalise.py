@@ -313,3 +313,12 @@ def test_one_dark_image_beside_others_is_dark_and_has_no_scale_of_its_own(make_s
         item.properties |= {"sattools:value_range": [0.25 * most, most], "platform": platform}
     normalise(scene, NormaliseOptions())
     np.testing.assert_allclose(result(scene)[0], night[0, 0], rtol=1e-6)
+
+
+def test_images_of_other_bands_than_the_first_one_are_told_before_anything_is_written(make_scene: Any) -> None:
+    scene = make_scene(numbers(10, 20, bands=3), numbers(10, 20))
+    with pytest.raises(SceneError, match=r"^i1: found 1 band, expected 3 as of i0 \(--bands takes the same of all\)$"):
+        normalise(scene, NormaliseOptions())
+    assert not (scene.root / "radiance").exists()
+    normalise(scene, NormaliseOptions(bands=["1"]))
+    assert result(scene, "i1").tolist() == result(scene).tolist()
