@@ -100,12 +100,20 @@ def shares(options: BatchOptions, cores: int, runs: int, tiled: bool) -> Shares:
     return Shares(workers, each, alone, memory, gpus)
 
 
-def check_cluster(options: BatchOptions, cores: int, runs: int, tiled: bool) -> None:
-    """Raise what is in the way of starting tasks, for a dry run; arguments and errors as of `shares` and `run`."""
+def check_cluster(options: BatchOptions, cores: int, runs: int, tiled: bool, *, ahead: bool = False) -> None:
+    """Raise what is in the way of starting tasks; arguments and errors as of `shares` and `run`.
+
+    Args:
+        options: of the batch.
+        cores: that may be used.
+        runs: scenes times configurations to be done.
+        tiled: whether some of them are cut into tiles.
+        ahead: the tasks are not at hand yet, and a scheduler may come as late as they do.
+    """
     share = shares(options, cores, runs, tiled)
     if find_spec("distributed") is None:
         raise SattoolsError(_NO_DASK)
-    if options.scheduler is not None:
+    if options.scheduler is not None and not ahead:
         with _client(options, share):
             pass
 

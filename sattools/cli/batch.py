@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import sys
 from contextlib import redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,6 +70,9 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
     most = root.params.get("threads") or cores()
     try:
         names = scenes if scenes or options.dfc2019 else ("-",)
+        if "-" in names:  # what is in the way whatever scenes come, which may be hours later
+            check_folder(replace(options, join=False), [], configurations, overwrite)
+            check_cluster(options, most, 1, tiled=False, ahead=True)
         scenes_given = [parse(source, text) for source, text in (documents(names) if names else ())]
         if not scenes_given and not options.aoi:
             raise click.UsageError("expected scenes, or --dfc2019 ROOT --aoi AREA")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from unread import Unread
 
 from sattools.batch import cluster
 from sattools.batch.cluster import Shares, shares
@@ -208,6 +209,35 @@ def test_a_dry_run_looks_for_what_its_tasks_would_run_on(
     assert "--scheduler nonsense: found no Dask scheduler" in dry_batch(*given, "--scheduler", "nonsense").stderr
     monkeypatch.setattr(cluster, "find_spec", lambda name: None)
     assert "found no Dask, expected the extra" in dry_batch(*given).stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["--scheduler", "tcp://nowhere.invalid:8786"], "batch: found no Dask, expected the extra"),
+        (["--gpu"], "--gpu: found no GPU by nvidia-smi"),
+        (["--out", "file", "--join"], "file: cannot be written to, expected a writable folder for table.csv"),
+    ],
+    ids=["Dask", "GPU", "folder"],
+)
+@pytest.mark.parametrize("dry", [[], ["--dry-run"]])
+def test_what_is_in_the_way_of_any_scene_is_told_before_those_of_a_pipe_come(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], why: str, dry: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("file").touch()
+    monkeypatch.setattr(cluster, "_gpus", list)
+    monkeypatch.setattr(cluster, "find_spec", lambda name: None)
+    result = CliRunner().invoke(main, ["batch", *options, *dry], input=Unread())
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert why in result.stderr
+
+
+def test_a_scheduler_may_come_as_late_as_the_scenes_of_a_pipe(tmp_path: Path) -> None:
+    given = ["--scheduler", "nonsense", "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(main, ["batch", *given], input=b"")
+    assert "expected scenes, or --dfc2019 ROOT --aoi AREA" in result.stderr
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
