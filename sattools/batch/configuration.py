@@ -62,6 +62,15 @@ def reference_files(configuration: Configuration, truth: Path | None, scene: str
         yield Path(pair.partition("=")[2])
 
 
+def metadata_files(configuration: Configuration) -> list[Path]:
+    """Files in the folder of vendors' metadata that `normalise` is given; none where it is not there."""
+    named = configuration.resolved.get("normalise", {}).get("metadata")
+    folder = Path(named) if named else None
+    if folder is None or not folder.is_dir():
+        return []
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in (".imd", ".xml", ".json"))
+
+
 def toml_of(configuration: Configuration, commands: Iterable[str]) -> str:
     """The tables of some commands as they were given, as TOML."""
     import tomli_w
@@ -69,4 +78,4 @@ def toml_of(configuration: Configuration, commands: Iterable[str]) -> str:
     return tomli_w.dumps({name: configuration.tables[name] for name in commands if name in configuration.tables})
 
 
-__all__ = ["COMMANDS", "OPTIONAL", "Configuration", "options_of", "reference_files", "toml_of"]
+__all__ = ["COMMANDS", "OPTIONAL", "Configuration", "metadata_files", "options_of", "reference_files", "toml_of"]

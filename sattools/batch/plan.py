@@ -10,7 +10,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sattools import __version__
-from sattools.batch.configuration import COMMANDS, OPTIONAL, Configuration, options_of, reference_files, toml_of
+from sattools.batch.configuration import (
+    COMMANDS,
+    OPTIONAL,
+    Configuration,
+    metadata_files,
+    options_of,
+    reference_files,
+    toml_of,
+)
 from sattools.errors import InputError, SattoolsError
 from sattools.scene.copies import in_another_root
 from sattools.scene.dependencies import files_of
@@ -140,6 +148,18 @@ def scene_content(scene: Scene, digests: Digests) -> list[Any]:
     return [document, [digests(path) for path in files_of(scene)]]
 
 
+def with_metadata(content: Any, configuration: Configuration, digests: Digests) -> Any:
+    """What a scene's inputs are, with the metadata that a configuration calibrates them by.
+
+    Args:
+        content: of the scene.
+        configuration: the configuration.
+        digests: of files, as known so far.
+    """
+    files = [(path.name, digests(path)) for path in metadata_files(configuration)]
+    return [content, files] if files else content
+
+
 def run_task(
     out: Path,
     scene: str,
@@ -168,7 +188,9 @@ def run_task(
     wanted = {name: table for name, table in configuration.resolved.items() if name != "prep"}
     what = f"a file that [compare] or [align] of {configuration.name} names"
     known = [digests(path, what) for path in references]
-    key = _key_of("run", content, wanted, sorted(configuration.tables), commands, known)
+    # the reference counts by what it holds
+    steps = [[part for part in command if part != str(truth)] for command in commands]
+    key = _key_of("run", content, wanted, sorted(configuration.tables), steps, known)
     folder = out / "runs" / check_id(configuration.name, "configuration") / check_id(scene, "scene")
     name = f"{scene}/{configuration.name}"
     config = toml_of(configuration, COMMANDS)  # `prep`'s, too, which is part of what a row of the table is of
@@ -201,7 +223,14 @@ def _reference(configuration: Configuration, scene: str, truth: Path | None) -> 
 
 
 def prep_task(
-    out: Path, aoi: str, images: list[Path], arguments: list[str], configuration: Configuration, digests: Digests
+    out: Path,
+    aoi: str,
+    images: list[Path],
+    arguments: list[str],
+    configuration: Configuration,
+    *,
+    metadata: Path | None,
+    digests: Digests,
 ) -> Task:
     """The task that makes the scene of an area; configurations with the same options of `prep` share it.
 
@@ -211,12 +240,20 @@ def prep_task(
         images: files to read.
         arguments: more arguments of `prep`.
         configuration: the configuration.
+        metadata: folder of the images' metadata, where the configuration names none.
         digests: of files, as known so far.
     """
+    from sattools.prep.folders import input_files
+
     options = configuration.resolved.get("prep", {})
-    key = _key_of("prep", aoi, [path.name for path in images], [digests(path) for path in images], arguments, options)
+    given = options.get("metadata")
+    named = [options.get("aoi"), *options.get("mask", ())]
+    files = input_files(images, given or (str(metadata) if metadata else None), named, options.get("colours"))
+    read = sorted((path.name, digests(path, f"a file that prep of {aoi} reads")) for path in files)
+    key = _key_of("prep", aoi, read, arguments, options)
     folder = out / "prep" / _key_of(options)[:8] / check_id(aoi, "scene")
-    command = ["prep", *map(str, images), "--id", aoi, "--out", str(folder), *arguments, "--overwrite"]
+    where = ["--metadata", str(metadata)] if metadata and not given else []
+    command = ["prep", *map(str, images), "--id", aoi, "--out", str(folder), *where, *arguments, "--overwrite"]
     config = toml_of(configuration, ["prep"])
     return Task(f"{aoi}/prep", str(folder), key, aoi, configuration.name, str(out), [command], config, kind="prep")
 
@@ -329,5 +366,5 @@ def _part(run: Task, name: str, key: str, commands: list[list[str]]) -> Task:
 
 __all__ = [
     "Digests", "Task", "after_shared", "coarse_task", "pilot_tasks", "prep_task", "run_task", "scene_content",
-    "shared_task", "tile_tasks",
+    "shared_task", "tile_tasks", "with_metadata",
 ]  # fmt: skip

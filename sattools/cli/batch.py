@@ -24,7 +24,7 @@ from sattools.progress import make_progress
 
 if TYPE_CHECKING:
     from sattools.batch.configuration import Configuration
-    from sattools.batch.stage import Batch
+    from sattools.batch.queue import Batch
     from sattools.scene.jsonio import JsonObject
 
 # options that say how a command runs, not what comes out of it
@@ -63,7 +63,8 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
     configurations = [configuration(path) for path in configs] or [configuration(None)]
     from sattools.batch.cluster import check_cluster
     from sattools.batch.gate import check_folder
-    from sattools.batch.stage import batch, make_plan
+    from sattools.batch.queue import make_plan
+    from sattools.batch.stage import batch
     from sattools.cli.rehearsal import refusals
 
     root = click.get_current_context().find_root()

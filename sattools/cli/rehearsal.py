@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 
 from sattools.batch.plan import Task
-from sattools.batch.stage import Batch
+from sattools.batch.queue import Batch
 from sattools.scene.copies import absolute_copy
 from sattools.scene.document import Scene
 

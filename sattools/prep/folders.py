@@ -1,4 +1,4 @@
-"""Folders in place of images: what lies in them beside the images is left out."""
+"""Folders in place of images, of which what is none is left out, and what is read beside images."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from sattools.errors import InputError
+from sattools.prep.colours import colour_files
 from sattools.scene.gdal import rpc_tags
 from sattools.scene.location import RemotePath, image_locations, location
 from sattools.scene.opening import opened
@@ -56,4 +57,23 @@ def _may_have_camera(path: Path, folders: Sequence[Path]) -> bool:
         return True
 
 
-__all__ = ["images_with_cameras"]
+def input_files(
+    images: Sequence[Path], metadata: str | None, named: Iterable[str | None], colours: str | None
+) -> list[Path]:
+    """All files of this machine that `prep` reads.
+
+    Args:
+        images: the images.
+        metadata: folder with metadata files, if any.
+        named: other files that options name.
+        colours: folder of multispectral images, if any.
+    """
+    paths = [location(name) for name in named if name] + (colour_files(colours) if colours else [])
+    for image in images:
+        folders = [*([Path(metadata)] if metadata else []), image.parent]
+        local = [folder for folder in folders if not isinstance(folder, RemotePath) and folder.is_dir()]
+        paths += [image, *sidecars(image, local)]
+    return [path for path in paths if not isinstance(path, RemotePath)]
+
+
+__all__ = ["images_with_cameras", "input_files"]

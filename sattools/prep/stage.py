@@ -19,7 +19,8 @@ from sattools.errors import InputError, SattoolsError
 from sattools.prep.area import bounds_from_file, bounds_from_numbers, exchanged_bounds, wanted_area
 from sattools.prep.blank import check_contents
 from sattools.prep.camera_gate import check_corrections, check_height_unit, check_places_and_suns
-from sattools.prep.colours import add_colours, colour_files, hrefs, load_colours
+from sattools.prep.colours import add_colours, hrefs, load_colours
+from sattools.prep.folders import input_files
 from sattools.prep.gate import (
     check_cells,
     check_heights,
@@ -52,9 +53,8 @@ from sattools.scene.area import AREA, write_area
 from sattools.scene.dependencies import begin, may_begin
 from sattools.scene.grid import default_cell_size, finer_pixel
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.location import RemotePath, location
+from sattools.scene.location import location
 from sattools.scene.schema import meant
-from sattools.scene.sidecars import sidecars
 from sattools.views import GROUND_SHARE
 
 log = logging.getLogger(__name__)
@@ -325,13 +325,7 @@ def _outside(
 
 def _inputs(images: Sequence[Path], options: PrepOptions) -> list[Path]:
     """All files that will be read."""
-    paths = [location(name) for name in (options.aoi, *options.mask) if name]
-    paths += colour_files(options.colours) if options.colours else []
-    for image in images:
-        folders = [*([Path(options.metadata)] if options.metadata else []), image.parent]
-        local = [folder for folder in folders if not isinstance(folder, RemotePath) and folder.is_dir()]
-        paths += [image, *sidecars(image, local)]
-    return [path for path in paths if not isinstance(path, RemotePath)]
+    return input_files(images, options.metadata, [options.aoi, *options.mask], options.colours)
 
 
 def _outputs(ids: Sequence[str], options: PrepOptions) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from planned import DEFAULT, contest, keys
 from unread import Unread
 
 from sattools.batch import cluster
@@ -16,18 +17,11 @@ from sattools.batch.cluster import Shares, shares
 from sattools.batch.configuration import Configuration
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Task, pilot_tasks
-from sattools.batch.stage import make_plan
+from sattools.batch.queue import make_plan
 from sattools.cli import main
 from sattools.prep.dfc2019 import find_images, find_truth
 from sattools.scene import memory
 from sattools.scene.raster import write_cog
-
-DEFAULT = Configuration("default")
-
-
-def keys(tmp_path: Path, scene: Any, *configurations: Any) -> Any:
-    plan = make_plan(BatchOptions(out=str(tmp_path / "out")), [scene], configurations or [DEFAULT])
-    return [job.task.key for job in plan.jobs]
 
 
 def finish(task: Task) -> None:
@@ -35,22 +29,6 @@ def finish(task: Task) -> None:
     document = task.start()
     done = {"key": task.key, "status": "done", "scene_json": str(document), "row": {}}
     task.record.write_text(json.dumps(done))
-
-
-def contest(root: Path) -> Path:
-    """The contest's folders with images of two areas, a reference of the first, crops of a third."""
-    for name in (
-        "Track3-RGB-1/JAX_004_006_RGB.tif",
-        "Track3-RGB-2/JAX_004_007_RGB.tif",
-        "Track3-MSI-1/JAX_004_006_MSI.tif",
-        "Track3-RGB-1/JAX_070_001_RGB.tif",
-        "Track3-RGB-crops/JAX_068/JAX_068_001_RGB.tif",
-        "Track3-RGB-3/JAX_068_001_RGB.tif",
-        "Track3-Truth/JAX_004_DSM.tif",
-    ):
-        (root / name).parent.mkdir(parents=True, exist_ok=True)
-        (root / name).write_bytes(name.encode())
-    return root
 
 
 def test_the_contests_folders_are_searched_and_no_image_is_found_twice(tmp_path: Path) -> None:
@@ -126,19 +104,6 @@ def test_configurations_that_prepare_alike_share_the_prepared_scene_and_its_prio
     assert names == ["JAX_070/prep", "JAX_070/fast", "JAX_070/held"]
     # nor is anything shared by one alone
     assert [job.task.name for job in make_plan(options, [], [fast]).jobs] == ["JAX_070/prep", "JAX_070/fast"]
-
-
-def test_a_key_follows_content_and_options_but_not_times_or_places(tmp_path: Path, make_town: Any) -> None:
-    town = make_town("TOWN")
-    [first] = keys(tmp_path, town)
-    image = town.path(town.items[0].assets["image"].href)
-    image.touch()
-    town.history.append({"command": "info", "seconds": 1.0})
-    assert keys(tmp_path, town) == [first]
-    assert keys(tmp_path, town, Configuration("default", {}, {"fit": {"seed": 1}})) != [first]
-    with open(image, "ab") as file:
-        file.write(b"\0")
-    assert keys(tmp_path, town) != [first]
 
 
 @pytest.mark.parametrize(

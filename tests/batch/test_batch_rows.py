@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from sattools.batch import stage
+from sattools.batch import queue, stage
 from sattools.batch.configuration import Configuration, options_of
 from sattools.batch.earlier import comparable_rows
 from sattools.batch.options import BatchOptions
@@ -143,7 +143,7 @@ def test_a_second_batch_adds_its_rows_to_those_of_the_first(tmp_path: Path, monk
         raise SceneError(f"{scene.id} fails")
 
     options = BatchOptions(out=str(tmp_path / "out"))
-    monkeypatch.setattr(stage, "scene_content", fail)
+    monkeypatch.setattr(queue, "scene_content", fail)
     written(tmp_path / "out", {"scene": "A", "configuration": "fast", "status": "done", "seconds": 2.5})
     (tmp_path / "out/digests.json").write_text("{}")
     for name in ("B", "B"):

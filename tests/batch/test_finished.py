@@ -11,7 +11,8 @@ import pytest
 from sattools.batch.configuration import Configuration
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Task
-from sattools.batch.stage import batch, make_plan
+from sattools.batch.queue import make_plan
+from sattools.batch.stage import batch
 from sattools.batch.task import perform
 from sattools.errors import SattoolsError
 from sattools.scene import Scene

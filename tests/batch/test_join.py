@@ -13,7 +13,8 @@ import rasterio
 from click.testing import CliRunner
 
 from sattools.batch.join import Part, inner_distance, join, seam
-from sattools.batch.stage import Batch, _join
+from sattools.batch.queue import Batch
+from sattools.batch.stage import _join
 from sattools.cli import main
 from sattools.errors import InputError, SceneError
 from sattools.scene import Scene
