@@ -72,13 +72,15 @@ class _Running:
             self.told(task.name, 1.0, result["status"])
             return []
         self.open.pop(name, None)
-        if result["status"] == "done":
+        done = result["status"] == "done"
+        if done:
             plan.results[pair] = result
-            self.emit(_line(result))
         else:
             plan.errors[pair] = ("failed", result["error"])
             log.error("%s: %s", task.name, result["error"])
         write_tables(plan.table(), self.out)
+        if done:
+            self.emit(_line(result))
         self.told(task.name, 1.0, result["status"])
         return []
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -14,7 +15,7 @@ import click
 from sattools.batch.options import BatchOptions
 from sattools.cli.documents import documents, parse
 from sattools.cli.interrupts import checked
-from sattools.cli.kinds import NamedPath
+from sattools.cli.kinds import NamedPath, PathText
 from sattools.cli.options import build, dataclass_options, read_toml, scene_argument
 from sattools.cli.pipe import report_error
 from sattools.cli.streams import portable
@@ -155,7 +156,28 @@ def configuration(path: Path | None) -> Configuration:
             _check_together(name, part, path)
     if path is not None and "align" in tables and resolved["align"]["to"] is None:
         raise click.BadParameter(f"{path}: [align] found no 'to', expected a reference", param_hint="--config")
-    return Configuration(path.stem if path else "default", tables, resolved)
+    placed = {name: _placed(main.get_command(parent, name), table) for name, table in tables.items()}
+    return Configuration(path.stem if path else "default", placed, resolved)
+
+
+def _placed(command: click.Command | None, table: dict[str, Any]) -> dict[str, Any]:
+    """A table with files and folders by absolute paths: the workers of a cluster may be in any folder."""
+    assert command is not None  # see `configuration`
+    kinds = {param.name: param.type.kind for param in command.params if isinstance(param.type, PathText)}
+    return {key: _absolute(value, kinds.get(key.replace("-", "_"))) for key, value in table.items()}
+
+
+def _absolute(value: Any, kind: str | None) -> Any:
+    from sattools.scene.location import is_remote
+
+    if kind is None:
+        return value
+    if isinstance(value, list):
+        return [_absolute(one, kind) for one in value]
+    if kind == "NAME=FILE":
+        name, equals, file = value.partition("=")
+        return f"{name}={_absolute(file, 'file')}" if equals else value
+    return value if is_remote(value) else os.path.abspath(value)
 
 
 def _check_together(name: str, command: click.Command, path: Path) -> None:

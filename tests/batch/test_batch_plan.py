@@ -214,7 +214,7 @@ def test_a_scheduler_may_come_as_late_as_the_scenes_of_a_pipe(tmp_path: Path) ->
         ("[fit]\ntile = 32.0\noverlap = 8.0\nbrdf = 'rpv'", "sattools fit: error: --tile: found --brdf rpv"),
         ("[export]\nview = ['nobody']", "sattools export: error: scene A: found no item 'nobody'"),
         (f"[align]\nto = '{__file__}'", f"sattools align: error: {__file__}: "),
-        ("[compare]\ntruth = 'nowhere'", "sattools compare: error: nowhere: no such folder"),
+        ("[compare]\ntruth = 'nowhere'", f"sattools compare: error: {Path.cwd() / 'nowhere'}: no such folder"),
     ],
 )
 def test_a_dry_run_says_what_a_command_would_refuse_at_its_start(

@@ -11,8 +11,10 @@ from sattools.batch import queue, stage
 from sattools.batch.configuration import Configuration, options_of
 from sattools.batch.earlier import comparable_rows
 from sattools.batch.options import BatchOptions
+from sattools.batch.plan import Task
 from sattools.batch.table import earlier_rows, make_row, to_csv, write_tables
 from sattools.errors import SceneError
+from sattools.progress import silent
 from sattools.scene import Scene
 
 
@@ -151,3 +153,18 @@ def test_a_second_batch_adds_its_rows_to_those_of_the_first(tmp_path: Path, monk
         with open(tmp_path / "out/table.csv", newline="", encoding="utf-8") as file:
             rows = [(row["scene"], row["status"], row["seconds"]) for row in csv.DictReader(file)]
         assert rows == [("B", "failed", ""), ("A", "done", "2.5")]
+
+
+def test_the_table_has_a_finished_scene_whatever_becomes_of_stdout(tmp_path: Path, town_source: Scene) -> None:
+    """`sattools batch | head -1` ends it there."""
+
+    def emit(line: str) -> None:
+        raise BrokenPipeError
+
+    plan = queue.Batch(rows=[("TOWN", "fast"), ("B", "fast")])
+    task = Task("TOWN/fast", str(tmp_path), "key", "TOWN", "fast", str(tmp_path), [], "")
+    row = {"scene": "TOWN", "configuration": "fast", "status": "done"}
+    result = {"status": "done", "scene_json": str(town_source.root / "scene.json"), "row": row}
+    with pytest.raises(BrokenPipeError):
+        stage._Running(plan, tmp_path, silent, emit).finished(task, result)
+    assert (tmp_path / "table.csv").read_text().splitlines()[1].startswith("TOWN,fast,done")

@@ -1,5 +1,6 @@
 """Configurations whose values do not go together end a batch before its first fit, not after it."""
 
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -77,3 +78,30 @@ def test_a_file_that_a_configuration_names_and_that_is_missing_is_told_as_one_of
     assert result.exit_code == 1
     found = "no.tif: cannot be read (No such file or directory), expected a file that [compare] or [align] of c names"
     assert found in result.stderr
+
+
+def test_files_are_found_by_workers_in_any_folder(
+    make_town: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a Dask cluster, whose workers may have been started anywhere."""
+    folder = tmp_path / "here"
+    (folder / "vendor").mkdir(parents=True)
+    for name in ("lidar.tif", "theta.tif"):
+        (folder / name).touch()
+    (folder / "c.toml").write_text(
+        '[normalise]\nmetadata = "vendor"\n[align]\nto = "lidar.tif"\n'
+        '[compare]\ndsm = "https://a.example/dsm.tif"\nmap = ["theta=theta.tif"]\nclasses = "/far/classes.tif"\n'
+    )
+    monkeypatch.chdir(folder)
+    done: list[Any] = []
+    monkeypatch.setattr("sattools.batch.stage.run", lambda jobs, *rest: done.extend(jobs))
+    monkeypatch.setattr("sattools.batch.plan.reference_files", lambda *_: [])
+    CliRunner().invoke(main, ["batch", str(make_town("A").root / "scene.json"), "--config", "c.toml"])
+    (job,) = done
+    assert tomllib.loads(job.task.config) == {
+        "normalise": {"metadata": f"{folder}/vendor"},
+        "align": {"to": f"{folder}/lidar.tif"},
+        "compare": {
+            "dsm": "https://a.example/dsm.tif", "map": [f"theta={folder}/theta.tif"], "classes": "/far/classes.tif",
+        },
+    }  # fmt: skip
