@@ -6,6 +6,7 @@ import logging
 import os
 import shutil
 import subprocess
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -22,7 +23,7 @@ from sattools.scene.jsonio import JsonObject
 from sattools.scene.memory import granted
 
 TOPIC = "sattools-batch"
-_launcher = Launcher()  # of a worker, which does one task at a time
+_own = threading.local()  # of a thread of a worker: its launcher, as workers may do several tasks at a time
 _REPORT_EVERY_S = 0.5
 TASK_MB = 3500.0  # for which a worker is started, as machines have 4 GB a core; a task in tiles takes a fourth of it
 _NO_DASK = "batch: found no Dask, expected the extra: pip install 'sattools[batch]'"
@@ -198,7 +199,9 @@ def work(task: Task, before: list[JsonObject], share: Shares) -> JsonObject:
             worker.log_event(TOPIC, (task.name, fraction, message))
 
     gpu = share.gpus[int(worker.name) % len(share.gpus)] if share.gpus else None
-    return perform(task, share.threads_of(task) or worker.state.nthreads, share.memory_mb, report, gpu, _launcher)
+    if not hasattr(_own, "launcher"):
+        _own.launcher = Launcher()
+    return perform(task, share.threads_of(task) or worker.state.nthreads, share.memory_mb, report, gpu, _own.launcher)
 
 
 @contextmanager

@@ -6,11 +6,14 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from patience import HANGING_S
 
+from sattools.batch import cluster
+from sattools.batch.cluster import Shares
 from sattools.batch.launch import Launcher, end
 from sattools.batch.plan import Task
 from sattools.batch.task import _watch, perform
@@ -156,3 +159,30 @@ def test_elsewhere_python_starts_every_time(monkeypatch: pytest.MonkeyPatch) -> 
     assert lines[-1] == 1
     assert "sattools info: error" in str(lines[0])
     assert len(began) == 1
+
+
+def test_tasks_of_one_worker_at_the_same_time_do_not_hear_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`dask worker` does as many as there are cores unless it is told otherwise."""
+    distributed = pytest.importorskip("distributed", reason="needs the extra `batch`")
+    worker = SimpleNamespace(name="0", state=SimpleNamespace(nthreads=2))
+    monkeypatch.setattr(distributed, "get_worker", lambda: worker)
+    both, used = threading.Barrier(2, timeout=HANGING_S), []
+
+    def perform(*given: Any) -> dict[str, Any]:
+        both.wait()  # none has ended yet
+        used.append((threading.get_ident(), given[-1]))
+        return {}
+
+    monkeypatch.setattr(cluster, "perform", perform)
+    task = Task("A/c", "/nowhere", "key", "A", "c", "/nowhere", [], "")
+    tasks = [
+        threading.Thread(target=lambda: [cluster.work(task, [], Shares(0, 1, 1, None)) for _ in "12"]) for _ in "12"
+    ]
+    for one in tasks:
+        one.start()
+    for one in tasks:
+        one.join(HANGING_S)
+    assert len(used) == 4
+    of_thread = dict(used)
+    assert len(set(map(id, of_thread.values()))) == 2  # each goes on with its own
+    assert all(of_thread[thread] is launcher for thread, launcher in used)
