@@ -22,6 +22,7 @@ from sattools.errors import InputError, SattoolsError
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.memory import granted
 
+log = logging.getLogger(__name__)
 TOPIC = "sattools-batch"
 _own = threading.local()  # of a thread of a worker: its launcher, as workers may do several tasks at a time
 _REPORT_EVERY_S = 0.5
@@ -139,6 +140,7 @@ def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finishe
         raise SattoolsError(_NO_DASK) from error
     with _client(options, share) as client:
         client.subscribe_topic(TOPIC, lambda event: told(*event[1]))
+        _tell_of_workers(client, options)
         futures: dict[str, Any] = {}
         of_key: dict[str, Task] = {}
 
@@ -165,6 +167,20 @@ def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finishe
                 result = {"key": task.key, "status": "failed", "error": _lost(future)}
             for job in finished(task, result):
                 waiting.add(submit(job))
+
+
+def _tell_of_workers(client: Any, options: BatchOptions) -> None:
+    """Say so where nobody is there yet who could begin: nothing else is heard from an idle cluster."""
+
+    def resources(dask_scheduler: Any) -> list[dict[str, float]]:
+        return [dict(worker.resources) for worker in dask_scheduler.workers.values()]
+
+    if options.scheduler is None:
+        return
+    found = client.run_on_scheduler(resources)
+    if not any(one.get("GPU") or not options.gpu for one in found):
+        kind = "with the resource GPU=1 " if options.gpu else ""
+        log.warning("--scheduler %s: found no worker %syet, waiting for one", options.scheduler, kind)
 
 
 def _lost(future: Any) -> str:

@@ -15,6 +15,7 @@ from patience import HANGING_S
 from sattools.batch import cluster
 from sattools.batch.cluster import Shares
 from sattools.batch.launch import Launcher, end
+from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Task
 from sattools.batch.task import _watch, perform
 
@@ -186,3 +187,22 @@ def test_tasks_of_one_worker_at_the_same_time_do_not_hear_each_other(monkeypatch
     of_thread = dict(used)
     assert len(set(map(id, of_thread.values()))) == 2  # each goes on with its own
     assert all(of_thread[thread] is launcher for thread, launcher in used)
+
+
+@pytest.mark.parametrize(
+    ("gpu", "workers", "told"),
+    [
+        (False, [], ["--scheduler tcp://h:1: found no worker yet, waiting for one"]),
+        (False, [{}], []),
+        (True, [{}], ["--scheduler tcp://h:1: found no worker with the resource GPU=1 yet, waiting for one"]),
+        (True, [{}, {"GPU": 1}], []),
+    ],
+)
+def test_a_cluster_on_which_nothing_can_begin_is_told(
+    gpu: bool, workers: list[dict[str, int]], told: list[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its workers may wait in a queue; or nobody has started any."""
+    there = SimpleNamespace(workers={k: SimpleNamespace(resources=one) for k, one in enumerate(workers)})
+    client = SimpleNamespace(run_on_scheduler=lambda function: function(dask_scheduler=there))
+    cluster._tell_of_workers(client, BatchOptions(scheduler="tcp://h:1", gpu=gpu))
+    assert caplog.messages == told
