@@ -28,7 +28,12 @@ class PriorOptions:
         minimum=0.01,
         maximum=100.0,
     )
-    pairs: int = option(60, "Largest number of image pairs that are correlated, besides a few narrow ones.", minimum=1)
+    pairs: int = option(
+        60,
+        "Largest number of image pairs that are correlated, besides a few narrow ones; of 30 or more, those whose "
+        "images are alike and whose angle is wide count most in the last pass.",
+        minimum=1,
+    )
     min_angle: float = option(
         12.0,
         "Smallest intersection angle of a pair [degrees]; a few narrower ones look into courtyards.",

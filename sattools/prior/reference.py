@@ -27,11 +27,12 @@ def agreement(a: np.ndarray, b: np.ndarray, noise: float, brightness: float) -> 
 def correlate(
     images, masks, parallax, heights, z_ref, first_hit_height, shadow_height, dark, tolerance, pairs,
     radius, noise, shadow_noise, brightness, margin, unseen, power=1, weak=0.0, mixed=0.0, base=None,
-    view_weights=None,
+    view_weights=None, pair_shares=None,
 ):  # fmt: skip
     """Scores ``[H, W, D]`` of a frame; arguments as in `sattools.prior.matching.kernels.correlate`."""
     views, rows, cols = images.shape
     shares = np.ones(views) if view_weights is None else view_weights
+    of_pairs = np.ones(len(pairs)) if pair_shares is None else pair_shares
     volume = np.empty((rows - 2 * margin, cols - 2 * margin, len(heights)))  # [H, W, D]
     near = range(-radius, radius + 1)
     for row, col, k in np.ndindex(volume.shape):
@@ -57,8 +58,8 @@ def correlate(
         ]  # [V]
         lit = [shadow_height[v, row, col] <= z[0, 0] for v in range(views)]  # [V]
         powers = weight = 0.0
-        for a, b in pairs:
-            own = weights[a] * weights[b] * (1.0 if lit[a] == lit[b] else mixed)
+        for (a, b), share in zip(pairs, of_pairs, strict=True):
+            own = share * weights[a] * weights[b] * (1.0 if lit[a] == lit[b] else mixed)
             both_dark = not lit[a] and not lit[b] and all(windows[v].mean() < dark[v] + brightness for v in (a, b))
             floor, veil = (shadow_noise, dark[a] - dark[b]) if both_dark else (noise, 0.0)
             powers += own * agreement(windows[a] - veil, windows[b], floor, brightness) ** (2 * power)

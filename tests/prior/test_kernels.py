@@ -40,6 +40,7 @@ def run_correlate(
     base: Any = PLANES,
     active: Any = None,
     view_weights: Any = None,
+    pair_shares: Any = None,
     **changed: Any,
 ) -> Any:
     s = SETTINGS | ROOT_MEAN_SQUARE | changed
@@ -65,6 +66,7 @@ def run_correlate(
         dark,
         tolerance,
         pairs,
+        np.ones(len(pairs), np.float32) if pair_shares is None else pair_shares,
         *order,
         active_planes(heights, None, (rows, cols), 0, 0.0) if active is None else active,
         volume,
@@ -96,7 +98,9 @@ def test_a_weighted_power_mean_is_that_of_the_plain_twin(power: Any) -> None:
     pairs, heights = np.array([(0, 1), (0, 2), (2, 3), (1, 3)]), np.array([-2.0, 0.3, 2.0, 4.5])
     shadow_height = np.random.default_rng(3).choice([LOW, 1.0, 3.0], (4, 7, 9)).astype(np.float32)
     dark = np.full(4, LOW, np.float32)
-    robust = {"power": power, "weak": 0.05, "mixed": 0.1, "view_weights": np.array([1.0, 0.2, 0.6, 1.0], np.float32)}
+    robust = {"power": power, "weak": 0.05, "mixed": 0.1}
+    robust["view_weights"] = np.array([1.0, 0.2, 0.6, 1.0], np.float32)
+    robust["pair_shares"] = np.array([0.3, 1.0, 0.05, 0.7], np.float32)
     fast = run_correlate(images, masks, slopes, first_hit_height, pairs, heights, shadow_height=shadow_height, **robust)
     settings = SETTINGS | robust
     slow = reference.correlate(

@@ -186,6 +186,7 @@ def test_steep_views_and_few_planes_never_read_beyond_the_frame(house: Any, monk
         dark: Any,
         tolerance: Any,
         pairs: Any,
+        pair_shares: Any,
         radius: Any,
         *rest: Any,
     ) -> Any:
@@ -205,6 +206,7 @@ def test_steep_views_and_few_planes_never_read_beyond_the_frame(house: Any, monk
             dark,
             tolerance,
             pairs,
+            pair_shares,
             radius,
             *rest,
         )

@@ -133,20 +133,21 @@ def _scale(radius):
 @njit(cache=True, fastmath=FASTMATH)
 def _add_pair(
     product, mean_a, mean_b, variance_a, variance_b, seen_a, seen_b, gloom_a, gloom_b,
-    lit_floor, dark_floor, veil, steep, power, mixed, total, weight,
+    share, lit_floor, dark_floor, veil, steep, power, mixed, total, weight,
 ):  # fmt: skip
     """Add a power of a pair's agreement to ``total`` and the pair's weight to ``weight``.
 
     product: twice the windows' mean products; the other maps see `_moments`. seen_a, seen_b: weight of the view there,
-    negative in shadow: 1 = seen, 0 = beyond the image. A pair has the product of its views' weights, times ``mixed``
-    where one shows the point in the sun and the other in shadow. Where both are in shadow and as dark as shadows are
-    (gloom_a, gloom_b), brightness counts from there (``veil``, the difference of their shadows), and structure only
-    above the noise of the dark, ``dark_floor`` more than ``lit_floor``. power: 1 = second, 3 = sixth.
+    negative in shadow: 1 = seen, 0 = beyond the image. A pair has the product of its views' weights and its own
+    ``share``, times ``mixed`` where one shows the point in the sun and the other in shadow. Where both are in shadow
+    and as dark as shadows are (gloom_a, gloom_b), brightness counts from there (``veil``, the difference of their
+    shadows), and structure only above the noise of the dark, ``dark_floor`` more than ``lit_floor``. power: 1 = second,
+    3 = sixth.
     """
     # every constant in single precision: one in double makes the whole line double
     zero, one = np.float32(0), np.float32(1)
     for n in range(len(total)):
-        both = seen_a[n] * seen_b[n]
+        both = share * seen_a[n] * seen_b[n]
         both = max(both, -mixed * both)
         dark = gloom_a[n] * gloom_b[n]
         more = dark * dark_floor
@@ -264,7 +265,7 @@ def _look(
 @njit(inline="always", fastmath=FASTMATH)
 def _correlate_tile(
     images, masks, view_weights, parallax, heights, base, z_ref, hit_heights, shadow_heights, dark, tolerance,
-    pairs, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed, active, r0, c0,
+    pairs, pair_shares, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed, active, r0, c0,
     volume,
 ):  # fmt: skip
     """The part of `correlate` whose first cell is (r0, c0): ``volume`` is ``[rows, D, columns]``."""
@@ -304,7 +305,7 @@ def _correlate_tile(
             _product_sums(moved[a], moved[b], radius, stride, line, product)
             _add_pair(
                 product, mean[a], mean[b], variance[a], variance[b], seen[a], seen[b], gloom[a], gloom[b],
-                lit_floor, dark_floor, veil, steep, power, mixed, total, weight,
+                pair_shares[p], lit_floor, dark_floor, veil, steep, power, mixed, total, weight,
             )  # fmt: skip
         for i in range(rows):
             row = totals[i, :cols]
@@ -323,7 +324,7 @@ def _correlate_tile(
 @njit(cache=True, fastmath=FASTMATH, nogil=True)
 def correlate(
     images, masks, view_weights, parallax, heights, base, z_ref, hit_heights, shadow_heights, dark, tolerance,
-    pairs, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed, active, volume,
+    pairs, pair_shares, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed, active, volume,
     first_tile, end_tile,
 ):  # fmt: skip
     """Agreement of the views at every (cell, height).
@@ -350,6 +351,7 @@ def correlate(
         dark: ``[V]`` float32 radiance of shadows; very low = unknown.
         tolerance: depth below it that still counts as seen [m].
         pairs: ``[P, 2]`` int64.
+        pair_shares: ``[P]`` float32, how much each pair counts.
         radius: half width of the window in cells.
         noise: contrast below which structure is not asked for (colour-matched radiance).
         shadow_noise: the same for windows in shadow.
@@ -373,7 +375,7 @@ def correlate(
         rows, cols = slice(r0, min(r0 + TILE, height)), slice(c0, min(c0 + TILE_COLS, width))
         _correlate_tile(
             images, masks, view_weights, parallax, heights, base, z_ref, hit_heights, shadow_heights, dark, tolerance,
-            pairs, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed,
+            pairs, pair_shares, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed,
             active[t // across, t % across], r0, c0, volume[rows, :, cols],
         )  # fmt: skip
 

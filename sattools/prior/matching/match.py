@@ -20,7 +20,7 @@ from sattools.prior.matching.sweep import (
     narrow,
     sweep_blocks,
 )
-from sattools.prior.matching.weights import view_shares
+from sattools.prior.matching.weights import pair_shares, view_shares
 from sattools.prior.neighbours import STEP_M, mean_of_neighbours, relief
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.alone import stands_alone
@@ -259,6 +259,11 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
             break
         before = surface.height
     known = replace(task, z_range=rough.z_range, options=rough.options, hills=rough.hills, robust=rough.robust)
+    if len(task.pairs) >= ROBUST_PAIRS:
+        # in the last pass alone: those before it have to find what hides what, which pairs of all kinds tell
+        sure = surface.score > SURE
+        shares = pair_shares(frame, surface.visibility, surface.height, sure, task.pairs, rough.options)
+        known = replace(known, shares=shares)
     return known, surface
 
 

@@ -89,6 +89,7 @@ class MatchTask:
         options: see `PriorOptions`.
         robust: whether so many pairs decide that what one of them says by chance does not.
         hills: whether the ground rises and falls, 0 to 1.
+        shares: per pair, how much it counts beside the others (0 to 1); empty = all alike.
     """
 
     frame: Frame
@@ -98,6 +99,12 @@ class MatchTask:
     options: PriorOptions
     robust: bool
     hills: float = 0.0
+    shares: tuple[float, ...] = ()
+
+    @property
+    def pair_shares(self) -> np.ndarray:
+        """The shares ``[P]`` float32."""
+        return np.array(self.shares or (1.0,) * len(self.pairs), np.float32)
 
 
 def sweep_blocks(
@@ -267,8 +274,8 @@ def agreement(
     correlate(
         frame.images, frame.masks, frame.view_weights, frame.parallax, heights, base, frame.z_ref,
         visibility.first_hit_height, visibility.shadow_height, visibility.dark, options.tolerance, task.pairs,
-        options.window, options.noise, shadow_noise, options.brightness, frame.margin, np.float32(options.unseen),
-        *pair_weights(task), active, volume,
+        task.pair_shares, options.window, options.noise, shadow_noise, options.brightness, frame.margin,
+        np.float32(options.unseen), *pair_weights(task), active, volume,
     )  # fmt: skip
     return volume
 
