@@ -38,6 +38,7 @@ from sattools.prior.visibility.occlusion import (
     mostly_shaded,
 )
 from sattools.prior.visibility.pits import close_pits
+from sattools.prior.visibility.restless import restless
 from sattools.prior.visibility.torn import pieces_of_roofs
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene.regrid import split_cells
@@ -227,7 +228,7 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
     frame, options, passes = task.frame.halved(), task.options, task.options.rough_passes
     rough = replace(task, frame=frame, step=2 * task.step)
     visibility = all_visible(frame)
-    before = ceiling = None
+    before = ceiling = open_to_all = None
     for k in range(passes):
         progress(0.4 * k / passes, f"rough pass {k + 1} of {passes}")
         minima = None if rough.robust else RayMinima.unknown(frame)
@@ -243,6 +244,9 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
         if k == 0:
             rough = _known_ground(rough, found, height, score > SURE)
         eroded = erode(height, max(options.erode / frame.cell, LEAST_ERODED) if options.erode else 0.0)
+        if before is not None and len(task.pairs) >= ROBUST_PAIRS:
+            open_to_all = restless(height, before, frame.cell) if open_to_all is None else open_to_all
+            eroded = np.where(open_to_all, np.float32(rough.z_range[0] - rough.step), eroded)
         visibility = compute_visibility(frame, eroded, rough.z_range, options.tolerance, visibility.dark)
         if k == 0:
             light = equally_bright(frame, visibility, height, score > SURE, options.tolerance)
