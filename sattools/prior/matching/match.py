@@ -245,7 +245,8 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
             rough = _known_ground(rough, found, height, score > SURE)
         eroded = erode(height, max(options.erode / frame.cell, LEAST_ERODED) if options.erode else 0.0)
         if before is not None and len(task.pairs) >= ROBUST_PAIRS:
-            open_to_all = restless(height, before, frame.cell) if open_to_all is None else open_to_all
+            if open_to_all is None:  # the first time, as what hides nothing settles
+                open_to_all = restless(height, before, frame.cell)
             eroded = np.where(open_to_all, np.float32(rough.z_range[0] - rough.step), eroded)
         visibility = compute_visibility(frame, eroded, rough.z_range, options.tolerance, visibility.dark)
         if k == 0:

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.ndimage import label, uniform_filter
 
 CHANGE_M = 2.0  # by which heights of two passes differ
-AROUND_M = 30.0  # distance within which cells do
-SHARE = 0.3  # of them that do: 0.04 to 0.12 in towns and on hills, 0.43 and more in woods, on water with waves
+AROUND_M = 30.0  # edge of the square around a cell whose cells are asked
+SHARE = 0.3  # of them that change: 0.04 to 0.12 in towns and on hills, 0.43 and more in woods, on water with waves
 LEAST_M2 = 2500.0  # of such a place: smaller ones hide but little, and in towns they are chance
 
 
