@@ -44,6 +44,12 @@ ORBIT_KM = {
     "GeoEye-1": 681,
     "QuickBird-2": 450,
     "IKONOS": 681,
+    "Pleiades-1A": 694,
+    "Pleiades-1B": 694,
+    "SPOT-6": 694,
+    "SPOT-7": 694,
+    "Pleiades-Neo-3": 620,
+    "Pleiades-Neo-4": 620,
 }
 DEFAULT_ORBIT_KM = 650
 EARTH_KM = 6371.0

@@ -36,11 +36,14 @@ class Tiles:
 
 
 def tiles_of_dimap(root: Any) -> Tiles | None:
-    """Tiles of an Airbus product (DIM_*.XML), None where it does not tell.
+    """Tiles of an Airbus product (DIM_*.XML), None where it does not tell, or where they overlap.
 
     Args:
         root: element of the XML.
     """
+    overlaps = [(e.text or "").strip() for name in ("OVERLAP_ROW", "OVERLAP_COL") for e in find_all(root, name)]
+    if any(overlap.strip("0.") for overlap in overlaps):  # where they begin then is not documented
+        return None
     for element in find_all(root, "NTILES_SIZE"):
         cols, rows = (str(element.get(name, "")).strip() for name in ("ncols", "nrows"))
         if cols.isdigit() and rows.isdigit():

@@ -16,6 +16,8 @@ from rasterio._err import CPLE_BaseError
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader
 
+from sattools.scene.chips import camera_of_chip
+
 log = logging.getLogger(__name__)
 
 ERRORS = (RasterioError, CPLE_BaseError)  # the second is what closing a file raises, and is not one of the first
@@ -44,12 +46,15 @@ def why_not_written(path: Path, error: Exception) -> OSError:
 
 
 def rpc_tags(data: DatasetReader) -> dict[str, str]:
-    """The RPC that GDAL finds in an image or in a file beside it; empty where it finds none.
+    """The RPC that GDAL finds in an image or in a file beside it, of the image if it is part of a whole; empty = none.
 
     What it has against a file beside the image waits in its state for the next call, of whatever: it is taken out.
 
     Args:
         data: an image.
+
+    Raises:
+        InputError: see `sattools.scene.chips.camera_of_chip`.
     """
     tags = dict(data.tags(ns="RPC"))
     for _ in range(2):  # it may have something against several
@@ -57,7 +62,7 @@ def rpc_tags(data: DatasetReader) -> dict[str, str]:
             data.colorinterp  # noqa: B018  # any call that looks at the state
         except CPLE_BaseError as error:
             log.debug("%s: %s", data.name, error)
-    return tags
+    return camera_of_chip(tags, data.tags(), data.name) if tags else tags
 
 
 class _Quiet:

@@ -30,7 +30,9 @@ def sidecars(image: Path, folders: Iterable[Path]) -> list[Path]:
     core_tile = _TILE.sub("", core)
     names = [f"{stem}.json", f"{stem}_rpc.txt", f"{stem}.rpb", f"{stem}.xml", f"{stem}.imd"]
     names += [f"{stem}_metadata.json", f"{stem}_metadata.xml", f"{stem}_rpc.xml", f"{stem}.rpc"]
-    for c in dict.fromkeys((core, core_tile)):
+    # of Pléiades Neo IMG_<name>_P_R1C1.TIF, or IMG_<name>_RGB_R1C1.TIF and IMG_<name>_NED_R1C1.TIF beside the same
+    core_bands = re.sub(r"^(pneo\d.*)_(p|rgb|ned)$", r"\1", core_tile)
+    for c in dict.fromkeys((core, core_tile, core_bands)):
         names += [f"rpc_{c}.xml", f"dim_{c}.xml"]
     if re.search(_TILE.pattern + "-", stem, re.IGNORECASE):
         # DigitalGlobe writes <date>-M1BS_R1C1-<order>.TIF beside <date>-M1BS-<order>.RPB, .IMD, .XML and .TIL

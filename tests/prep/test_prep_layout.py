@@ -125,5 +125,7 @@ def test_area_of_other_vector_formats_in_their_own_crs(suffix: str, tmp_path: Pa
 def test_off_nadir_is_smaller_than_incidence_by_the_earths_curvature() -> None:
     # vendor's figures of a WorldView-2 scene: satellite elevation 52.6, off-nadir 32.7 degrees
     assert off_nadir_deg(90 - 52.6, "WorldView-2") == pytest.approx(32.7, abs=0.2)
+    # Pléiades at 694 km
+    assert off_nadir_deg(30.0, "Pleiades-1A") == pytest.approx(26.80, abs=0.01)
     assert off_nadir_deg(0.0, None) == 0.0
     assert np.isfinite(off_nadir_deg(89.0, None))

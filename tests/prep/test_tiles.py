@@ -93,6 +93,26 @@ def test_a_tile_of_airbus_without_the_size_of_tiles_is_refused(tmp_path: Path) -
         load_source(tile, "a", None)
 
 
+def test_tiles_of_airbus_that_overlap_are_refused(tmp_path: Path) -> None:
+    dimap(tmp_path)
+    overlap = "<OVERLAP_ROW>0</OVERLAP_ROW><OVERLAP_COL>16</OVERLAP_COL>"
+    text = DIM.replace("<Regular_Tiling>", f"<Regular_Tiling>{overlap}")
+    (tmp_path / "DIM_X.XML").write_text(text)
+    with pytest.raises(InputError, match=r"IMG_X_R1C2\.TIF: found row 1, column 2 of a product in tiles"):
+        load_source(image(tmp_path, "IMG_X_R1C2.TIF"), "a", None)
+    (tmp_path / "DIM_X.XML").write_text(text.replace("16", "0"))
+    assert offsets(image(tmp_path, "IMG_X_R1C2.TIF")) == (-300.0, 0.0)
+
+
+@pytest.mark.parametrize("bands", ["P", "RGB", "NED"])
+def test_images_of_pleiades_neo_have_the_metadata_of_all_their_bands(tmp_path: Path, bands: str) -> None:
+    dimap(tmp_path)
+    product = "PNEO3_202109291034012_SEN_PWOI_000011543_1_2_F_1"
+    (tmp_path / "RPC_X.XML").rename(tmp_path / f"RPC_{product}.XML")
+    (tmp_path / f"DIM_{product}.XML").write_text(DIM)
+    assert offsets(image(tmp_path, f"IMG_{product}_{bands}_R2C1.TIF")) == (0.0, -200.0)
+
+
 def test_a_tile_with_tags_of_its_own_needs_no_size_of_tiles(tmp_path: Path) -> None:
     dimap(tmp_path)
     assert offsets(image(tmp_path, "IMG_X_R1C2.TIF", WHOLE.cropped(300, 0).to_tags())) == (-300.0, 0.0)
