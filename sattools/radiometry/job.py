@@ -10,7 +10,7 @@ from sattools.errors import SceneError, counted
 from sattools.radiometry.atmosphere import check_air
 from sattools.radiometry.bands import RGB_OF_EIGHT, eo_bands, numbers_of, red_green_blue
 from sattools.radiometry.kind import ImageScale, choose_quantity, contradictions, image_scales
-from sattools.radiometry.linear import full_scale, shared_bits, without_bits
+from sattools.radiometry.linear import full_scale, own_bits, shared_bits, without_bits
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import Item, Scene
 from sattools.scene.jsonio import JsonObject
@@ -101,21 +101,16 @@ def _check_black(job: Job, item: Item) -> None:
 
 
 def _bits(items: list[Item], options: NormaliseOptions) -> tuple[dict[str, int], dict[str, list[str]]]:
-    """Significant bits per image, and notes -> images that fewer would do for.
-
-    Images of one sensor share the largest, as a dark scene's values prove nothing.
-    """
-    bits_of = {item.id: options.bits or shared_bits(item, items) for item in items}
+    """Significant bits per image, and notes -> images that fewer would do for."""
+    if options.bits:
+        return dict.fromkeys((item.id for item in items), options.bits), {}
+    bits_of = {item.id: shared_bits(item, items) for item in items}
     notes: dict[str, list[str]] = {}
-    groups = {item.id: (item.properties.get("platform"), item.properties.get("sattools:dtype")) for item in items}
-    for group in set(groups.values()):
-        members = [i for i in bits_of if groups[i] == group]
-        highest = max(bits_of[i] for i in members)
-        for name in members:
-            if bits_of[name] < highest:
-                told = f"values fit {bits_of[name]} bits, taken as {highest} like its sensor's others"
-                notes.setdefault(told, []).append(name)
-                bits_of[name] = highest
+    for item in items:
+        bits = own_bits(item, items)
+        if bits < bits_of[item.id]:
+            told = f"values fit {bits} bits, taken as {bits_of[item.id]} like its sensor's others"
+            notes.setdefault(told, []).append(item.id)
     return bits_of, notes
 
 

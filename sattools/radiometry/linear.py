@@ -25,7 +25,7 @@ def item_bits(properties: JsonObject) -> int:
     """Significant bits of an item's digital numbers: its own statement, else 8 or 11 by file type.
 
     Floating point numbers may be counts or shares of 1: theirs are the fewest that hold the largest, 1 up to 1.0; see
-    `shared_bits`.
+    `own_bits`.
     """
     bits = properties.get("sattools:bits")
     if bits:
@@ -37,7 +37,25 @@ def item_bits(properties: JsonObject) -> int:
 
 
 def shared_bits(item: Item, items: Iterable[Item]) -> int:
-    """Bits of an item's full scale, see `item_bits`, for floating point numbers what most images of its sensor need.
+    """Bits of an item's full scale, see `own_bits`: images of one sensor share the largest.
+
+    A dark scene's values prove nothing: with a full scale of its own it would be twice as bright beside the others.
+
+    Args:
+        item: the image.
+        items: all of the scene.
+    """
+    everything = list(items)
+    alike = [other for other in everything if _sensor(other) == _sensor(item)] or [item]
+    return max(own_bits(other, everything) for other in alike)
+
+
+def _sensor(item: Item) -> tuple[str | None, str | None]:
+    return item.properties.get("platform"), item.properties.get("sattools:dtype")
+
+
+def own_bits(item: Item, items: Iterable[Item]) -> int:
+    """Bits of an item's numbers, see `item_bits`, for floating point numbers what most images of its sensor need.
 
     One bright roof or bad pixel in one image would else make all of that image darker than the others. It may be
     brighter than the full scale then; nothing is clipped.
@@ -70,7 +88,7 @@ def _negative_bits(properties: JsonObject) -> int:
 
 
 def full_scale(bits: int) -> float:
-    """Number of white: 2^bits - 1, or 2^bits of negative ones, see `shared_bits`."""
+    """Number of white: 2^bits - 1, or 2^bits of negative ones, see `own_bits`."""
     return 2.0**bits - (1.0 if bits > 0 else 0.0)
 
 
@@ -127,6 +145,7 @@ __all__ = [
     "invalid_numbers",
     "item_bits",
     "linear_radiance",
+    "own_bits",
     "shared_bits",
     "undo_gamma",
     "without_bits",

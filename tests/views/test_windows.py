@@ -103,3 +103,15 @@ def test_floating_point_images_of_a_sensor_have_one_full_scale(make_town: Any) -
         item.properties |= {"sattools:bits": None, "sattools:dtype": "float32", "sattools:value_range": [0.0, most]}
     for one, other in zip(load_sources(scene, scene.items[:2]), before, strict=True):
         np.testing.assert_allclose(one.radiance, other.radiance, atol=1e-5)
+
+
+def test_images_of_a_sensor_have_the_full_scale_of_the_brightest(make_town: Any) -> None:
+    scene = make_town()
+    dark = scene.items[0]
+    before = load_sources(scene, [dark])[0].radiance
+    dark.properties |= {"sattools:bits": 10, "sattools:value_range": [0.0, 1000.0]}
+    assert dark.properties["sattools:dtype"] == "uint16"
+    assert scene.items[1].properties["sattools:bits"] == 11
+    np.testing.assert_array_equal(load_sources(scene, [dark])[0].radiance, before)
+    dark.properties["platform"] = "Pleiades-1A"
+    np.testing.assert_allclose(load_sources(scene, [dark])[0].radiance, before * 2047 / 1023, rtol=1e-5)
