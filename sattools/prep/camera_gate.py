@@ -15,6 +15,7 @@ from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.prep.cameras import SAME_PX
 from sattools.prep.images import SourceImage
+from sattools.prep.times import date_alone
 
 _SUN_TOLERANCE_DEG = 5.0  # between metadata and time with place: more than refraction, rounding and a minute's drift
 _SUN_FAR_DEG = 12.0  # an hour of local instead of universal time
@@ -94,7 +95,7 @@ def check_places_and_suns(sources: Sequence[SourceImage]) -> list[str]:
                 f"{source.path}: found a sun {sun[1]:g} degrees above the horizon in its metadata, expected an image "
                 "taken by day"
             )
-        if sun is None or time is None:
+        if sun is None or time is None or date_alone(time):
             continue
         compared += 1
         apart = _apart(sun, sun_position(time, lon, lat, source.rpc.alt_offset))

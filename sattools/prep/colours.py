@@ -20,6 +20,7 @@ from sattools.prep.images import SourceImage
 from sattools.prep.loading import load_source
 from sattools.prep.names import image_id
 from sattools.prep.pixels import look_for_frames, write_image
+from sattools.prep.times import same_moment
 from sattools.radiometry.bands import named_bands
 from sattools.scene import Scene
 from sattools.scene.document import GEOTIFF_TYPE, Asset
@@ -33,7 +34,6 @@ SENSORS = {
     *("ms", "fs", "mul", "mux", "mss", "mss1", "mss2", "m", "m1bs", "m2as", "xs", "multi", "multispectral", "analytic"),
     *("rgb", "colour", "color"),
 }
-SAME_TIME_S = 3.0
 MARGIN_PX = 8
 GRID = 7  # points along an axis at which two cameras are compared
 
@@ -70,9 +70,13 @@ def partners(pans: Sequence[SourceImage], colours: Sequence[SourceImage]) -> lis
     """
     found: list[SourceImage | None] = []
     for pan in pans:
-        own = [c for c in colours if _words(c.id) == _words(pan.id)] or [c for c in colours if _same_time(c, pan)]
+        own = [c for c in colours if _words(c.id) == _words(pan.id)] or [
+            c for c in colours if same_moment(c.metadata.time, pan.metadata.time)
+        ]
         if len(own) > 1:
             raise InputError(f"--colours: found {own[0].path} and {own[1].path} for {pan.id}, expected one of them")
+        if own and (earlier := [p.id for p, c in zip(pans, found, strict=False) if c is own[0]]):
+            raise InputError(f"--colours: found {own[0].path} for {earlier[0]} and {pan.id}, expected one for each")
         found.append(own[0] if own else None)
     if not any(found):
         raise InputError(
@@ -84,11 +88,6 @@ def partners(pans: Sequence[SourceImage], colours: Sequence[SourceImage]) -> lis
 
 def _words(name: str) -> list[str]:
     return [word for word in re.split(r"[^a-z0-9]+", name.lower()) if word and word not in SENSORS]
-
-
-def _same_time(a: SourceImage, b: SourceImage) -> bool:
-    first, second = a.metadata.time, b.metadata.time
-    return first is not None and second is not None and abs((first - second).total_seconds()) <= SAME_TIME_S
 
 
 def load_colours(options_folder: str, metadata: Path | None, pans: Sequence[SourceImage]) -> list[SourceImage | None]:

@@ -18,6 +18,7 @@ from sattools.errors import InputError, counted
 from sattools.prep.camera_gate import check_camera
 from sattools.prep.images import SourceImage
 from sattools.prep.numbers import LARGEST_NUMBER, check_brightness, too_large
+from sattools.prep.times import FIRST_YEAR
 from sattools.radiometry.bands import named_bands
 from sattools.scene.grid import Grid, finer_pixel
 from sattools.scene.location import RemotePath
@@ -26,7 +27,6 @@ from sattools.scene.sidecars import sidecars
 
 Array = NDArray[np.float64]
 
-_FIRST_YEAR = 1960  # before the first photographs from orbit
 _FEW_LEVELS = 8
 _LEFT_OUT = 0.05  # of the tie points below or above the heights given: more than false ones
 _COARSER = 3.0  # times as wide as fine pixels, by more than how obliquely they look; twice as wide is no harm
@@ -96,8 +96,8 @@ def _check_time(source: SourceImage) -> None:
     time = source.metadata.time
     if time is None:
         return
-    if time.year < _FIRST_YEAR:
-        raise InputError(f"{source.path}: found the date {time:%Y-%m-%d}, expected one since {_FIRST_YEAR}")
+    if time.year < FIRST_YEAR:
+        raise InputError(f"{source.path}: found the date {time:%Y-%m-%d}, expected one since {FIRST_YEAR}")
     if time > datetime.now(UTC) + timedelta(days=2):
         source.warn(f"taken on {time:%Y-%m-%d}, which is still to come: is the date right?")
 

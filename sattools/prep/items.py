@@ -23,6 +23,7 @@ from sattools.prep.images import SourceImage
 from sattools.prep.layout import footprint
 from sattools.prep.metadata import DEFAULT_ORBIT_KM, EARTH_KM, ORBIT_KM
 from sattools.prep.pixels import significant_bits, value_range
+from sattools.prep.times import date_alone
 from sattools.radiometry.bands import named_bands
 from sattools.scene import GEOTIFF_TYPE, Asset, Grid, Item
 from sattools.scene.globe import outline_on_globe
@@ -41,6 +42,8 @@ def off_nadir_deg(incidence_deg: float, platform: str | None) -> float:
 def sun_angles(source: SourceImage, lon: float, lat: float, height: float) -> tuple[float, float, str] | None:
     """(azimuth, elevation, where from) of the sun: metadata, else time and place; None when neither is known.
 
+    A date alone tells no sun.
+
     Args:
         source: the image.
         lon: longitude [degrees].
@@ -50,7 +53,7 @@ def sun_angles(source: SourceImage, lon: float, lat: float, height: float) -> tu
     meta = source.metadata
     if meta.sun is not None:
         return *meta.sun, "metadata"
-    if meta.time is not None:
+    if meta.time is not None and not date_alone(meta.time):
         azimuth, elevation = sun_position(meta.time, lon, lat, height)
         return round(azimuth, 4), round(elevation, 4), "time and place"
     return None
@@ -109,6 +112,8 @@ def describe(source: SourceImage, rpc: RPC, view: ViewAdjustment, grid: Grid, he
         sun = None
     if sun is None:
         properties["sattools:sun"] = "unknown"
+        if meta.time is not None and date_alone(meta.time):
+            source.warn(f"sun unknown: {meta.time:%Y-%m-%d} 00:00:00 is taken for a date without a time of day")
         if meta.time is None:
             source.notes.append("sun unknown: neither sun angles nor a time were found")
     else:

@@ -9,11 +9,14 @@ import numpy as np
 
 from sattools.camera.adjust import Adjustment
 from sattools.camera.rpc import RPC
+from sattools.prep.images import SourceImage
+from sattools.prep.times import same_moment
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.views import line_of_sight
 
 SHOWN = 100  # residuals of an image that its report keeps
+_SAME_SIGHT_DEG = 0.05  # between lines of sight: satellites that pass again do not come that close
 IN_HISTORY = 40  # pairs of a scene that its history keeps: those with the most tie points
 
 
@@ -53,6 +56,25 @@ def pair_table(result: Adjustment, grid: Grid, heights: tuple[float, float]) -> 
     return sorted(table, key=lambda row: -row["tie_points"])
 
 
+def repeated(pairs: Sequence[JsonObject], sources: Sequence[SourceImage]) -> list[str]:
+    """A line for each pair of images that are one acquisition, as two products of it: it counts twice in matching.
+
+    Args:
+        pairs: table of the pairs, see `pair_table`.
+        sources: the images.
+    """
+    times = {source.id: source.metadata.time for source in sources}
+    found = []
+    for first, second in (row["images"] for row in pairs if row["angle_deg"] < _SAME_SIGHT_DEG):
+        same, unknown = same_moment(times[first], times[second]), times[first] is times[second] is None
+        if same or unknown:
+            found.append(
+                f"{first} and {second} look from one direction{' at one time' if same else ''}: one acquisition, which "
+                "counts twice? Leave one of them out"
+            )
+    return found
+
+
 def residual_vectors(result: Adjustment) -> list[list[list[float]]]:
     """Of every image up to `SHOWN` of its residuals after the adjustment: column, row, and the residual's two [px]."""
     tracks = result.tracks
@@ -71,4 +93,4 @@ def _sight(rpc: RPC, grid: Grid, heights: tuple[float, float]) -> Sequence[float
     return direction.unit()
 
 
-__all__ = ["IN_HISTORY", "pair_table", "residual_vectors"]
+__all__ = ["IN_HISTORY", "pair_table", "repeated", "residual_vectors"]

@@ -44,7 +44,7 @@ from sattools.prep.loading import load_source
 from sattools.prep.names import check_ids, common_name
 from sattools.prep.options import PrepOptions
 from sattools.prep.outputs import REPORTS, clouds_href, write_images, write_reports
-from sattools.prep.pairs import IN_HISTORY, pair_table
+from sattools.prep.pairs import IN_HISTORY, pair_table, repeated
 from sattools.prep.places import check_places, cropped_to_area, middle_of, search_heights, show, sizes_read
 from sattools.prep.sweeps import height_range, mask_clouds
 from sattools.progress import Progress, silent, subprogress
@@ -119,6 +119,7 @@ def prepare(
     for source in sources:
         notes += [f"{source.id}: {r}" for r in source.notes]
     pairs = pair_table(result, scene.grid, heights)
+    _warn(repeated(pairs, sources), notes)
     write_reports(scene, result, pairs)
     if (area := wanted(scene.grid.bounds)) is not None:
         write_area(scene, area)
