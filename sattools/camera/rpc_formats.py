@@ -90,11 +90,18 @@ def _from_dimap(path: Path, root: Any) -> Fields:
     fields: Fields = {local_name(e): (e.text or "").strip() for e in [*inverse[0], *validity[0]] if len(e) == 0}
     first = {"FIRST_ROW": 1.0, "FIRST_COL": 1.0}
     for domain in find_all(root, "ImagetoGround_Validity_Domain"):
-        first |= {local_name(e): float(e.text) for e in domain if local_name(e) in first and e.text}
+        first |= {name: _origin(path, name, e.text) for e in domain if (name := local_name(e)) in first and e.text}
     for key, origin in (("LINE_OFF", "FIRST_ROW"), ("SAMP_OFF", "FIRST_COL")):
         with contextlib.suppress(KeyError, ValueError):  # RPC.from_tags says what is missing
             fields[key] = float(fields[key]) - first[origin]
     return fields
+
+
+def _origin(path: Path, name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"{path}: found {name} = {text.strip()[:40]!r}, expected a number") from None
 
 
 def _from_isd(block: Any) -> Fields:

@@ -169,9 +169,10 @@ def from_tags(tags: Mapping[str, str], name: str) -> Metadata:
     """What image tags (NITF header fields, GML of JPEG 2000) and the file name say, where the sidecars are silent."""
     everything = " ".join(tags.values())
     title = tags.get("NITF_FTITLE", "") + " " + tags.get("NITF_IID2", "")
-    time = None
+    # The header's date may be that of a program which cut or converted the image.
+    time = parse_time(tags.get("NITF_STDIDC_ACQUISITION_DATE", "")) or parse_time(title, of_file=True)
     # GDAL fills the NITF date with a constant of its own; only an image with a vendor's title says when it was taken.
-    if title.strip() and tags.get("NITF_OSTAID", "").strip() != "GDAL":
+    if time is None and title.strip() and tags.get("NITF_OSTAID", "").strip() != "GDAL":
         time = parse_time(tags.get("NITF_IDATIM", ""))
     airbus = re.search(r"DS_(PHR1[AB]|SPOT[67]|PNEO[34])_(\d{14})\d?", everything + " " + name)
     if time is None and airbus:

@@ -146,6 +146,10 @@ def test_dimap_2_counts_from_1_and_dimap_3_says_from_where(tmp_path: Path) -> No
     (tmp_path / "v3.xml").write_text(dimap(rpc, 0.0, "3.0", "GroundtoImage_Values", first))
     assert same(RPC.from_file(tmp_path / "v2.xml"), rpc)
     assert same(RPC.from_file(tmp_path / "v3.xml"), rpc)
+    spoilt = first.replace("<FIRST_COL>0", "<FIRST_COL>one")
+    (tmp_path / "v3.xml").write_text(dimap(rpc, 0.0, "3.0", "GroundtoImage_Values", spoilt))
+    with pytest.raises(InputError, match=r"v3\.xml: found FIRST_COL = 'one', expected a number$"):
+        RPC.from_file(tmp_path / "v3.xml")
 
 
 @pytest.mark.parametrize(

@@ -105,6 +105,19 @@ def test_the_date_that_gdal_makes_up_for_nitf_is_not_believed() -> None:
     assert from_tags({"NITF_IDATIM": "20021216151629", "NITF_OSTAID": "GDAL", "NITF_FTITLE": ""}, "wv3_30").time is None
 
 
+@pytest.mark.parametrize(
+    "tags",
+    [
+        {"NITF_STDIDC_ACQUISITION_DATE": "20150502161943", "NITF_FTITLE": "chip of 20160101000000"},
+        {"NITF_STDIDC_ACQUISITION_DATE": "20150502161943", "NITF_OSTAID": "GDAL"},
+        {"NITF_STDIDC_ACQUISITION_DATE": " ", "NITF_FTITLE": "02MAY15WV031100015MAY02161943-M1BS-500648061030_01_P001"},
+    ],
+)
+def test_the_acquisition_comes_before_the_date_of_the_file(tags: dict[str, str]) -> None:
+    found = from_tags({"NITF_IDATIM": "20231109101112"} | tags, "chip")
+    assert found.time == datetime(2015, 5, 2, 16, 19, 43, tzinfo=UTC)
+
+
 def test_airbus_identifier_in_the_tags_gives_time_and_platform() -> None:
     found = from_tags({"gml": "<gml:name>DS_PHR1A_201304171036448_FR1_PX_E005N43_0707_01658</gml:name>"}, "img_01")
     assert (found.time, found.platform) == (datetime(2013, 4, 17, 10, 36, 44, tzinfo=UTC), "Pleiades-1A")
