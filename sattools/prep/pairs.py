@@ -17,6 +17,7 @@ from sattools.views import line_of_sight
 
 SHOWN = 100  # residuals of an image that its report keeps
 _SAME_SIGHT_DEG = 0.05  # between lines of sight: satellites that pass again do not come that close
+_MOST = 0.5  # of an image's tie points, which it shares with another one of its acquisition
 IN_HISTORY = 40  # pairs of a scene that its history keeps: those with the most tie points
 
 
@@ -56,16 +57,23 @@ def pair_table(result: Adjustment, grid: Grid, heights: tuple[float, float]) -> 
     return sorted(table, key=lambda row: -row["tie_points"])
 
 
-def repeated(pairs: Sequence[JsonObject], sources: Sequence[SourceImage]) -> list[str]:
+def repeated(pairs: Sequence[JsonObject], result: Adjustment, sources: Sequence[SourceImage]) -> list[str]:
     """A line for each pair of images that are one acquisition, as two products of it: it counts twice in matching.
+
+    Neighbouring parts of one that share a strip are none.
 
     Args:
         pairs: table of the pairs, see `pair_table`.
+        result: corrected cameras and their tie points.
         sources: the images.
     """
     times = {source.id: source.metadata.time for source in sources}
+    points = {view.name: view.tie_points for view in result.views}
     found = []
-    for first, second in (row["images"] for row in pairs if row["angle_deg"] < _SAME_SIGHT_DEG):
+    for row in pairs:
+        first, second = row["images"]
+        if row["angle_deg"] >= _SAME_SIGHT_DEG or row["tie_points"] < _MOST * min(points[first], points[second]):
+            continue
         same, unknown = same_moment(times[first], times[second]), times[first] is times[second] is None
         if same or unknown:
             found.append(

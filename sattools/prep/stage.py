@@ -119,7 +119,7 @@ def prepare(
     for source in sources:
         notes += [f"{source.id}: {r}" for r in source.notes]
     pairs = pair_table(result, scene.grid, heights)
-    _warn(repeated(pairs, sources), notes)
+    _warn(repeated(pairs, result, sources), notes)
     write_reports(scene, result, pairs)
     if (area := wanted(scene.grid.bounds)) is not None:
         write_area(scene, area)

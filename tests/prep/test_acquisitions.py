@@ -12,6 +12,7 @@ from spoilt import Town, made, prep, warned
 from sattools.errors import InputError
 from sattools.prep.colours import partners
 from sattools.prep.metadata import Metadata, from_tags
+from sattools.prep.pairs import repeated
 from sattools.prep.times import same_moment
 from sattools.scene import Scene
 
@@ -68,6 +69,18 @@ def test_an_acquisition_that_is_given_twice_is_told(town: Any) -> None:
     town.metadata(1, acquisition_date="20141018154858")
     result = prep(town, "--overwrite")
     assert "one direction" not in result.stderr
+
+
+def test_neighbouring_parts_of_an_acquisition_are_not_one_that_is_given_twice() -> None:
+    sources = [image("A", NOON), image("B", NOON)]
+    result: Any = SimpleNamespace(views=[SimpleNamespace(name=s.id, tie_points=1000) for s in sources])
+
+    def told(angle: float, points: int) -> list[str]:
+        return repeated([{"images": ["A", "B"], "angle_deg": angle, "tie_points": points}], result, sources)
+
+    assert len(told(0.0, 800)) == 1
+    assert told(0.0, 300) == []
+    assert told(0.2, 800) == []
 
 
 def test_moments_are_the_same_within_seconds_where_they_are_known() -> None:
