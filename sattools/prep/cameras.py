@@ -21,6 +21,7 @@ from sattools.scene.opening import opened
 Array = NDArray[np.float64]
 
 SAME_PX = 1.0  # as far as two files of one camera may differ by digits and conventions
+_IN_PIXELS = {"col_offset", "row_offset", "col_scale", "row_scale"}
 _WHOLE_PX = 1e-3  # of a window's corner
 _WHOLE_SHARE = 0.02  # of an image's size: where the camera of a whole image begins, and what size it tells
 
@@ -49,8 +50,7 @@ def of_another_window(beside: RPC, own: RPC, size: tuple[int, int]) -> tuple[flo
         own: that of the image's tags.
         size: (height, width) of the image [px].
     """
-    names = {f.name for f in fields(RPC)} - {"col_offset", "row_offset"}
-    if not all(np.allclose(getattr(beside, n), getattr(own, n), rtol=1e-9, atol=1e-12) for n in names):
+    if not _same_but_for({"col_offset", "row_offset"}, beside, own):
         return None
     apart = np.array([beside.col_offset - own.col_offset, beside.row_offset - own.row_offset])
     if np.abs(apart).max() <= SAME_PX or np.abs(apart - apart.round()).max() > _WHOLE_PX:
@@ -58,6 +58,33 @@ def of_another_window(beside: RPC, own: RPC, size: tuple[int, int]) -> tuple[flo
     if _of_larger(own, size) and not _of_larger(beside, size):
         return None  # cut without moving the tags, which somebody has put right in the file
     return float(apart[0]), float(apart[1])
+
+
+def of_other_pixels(beside: RPC, own: RPC, size: tuple[int, int]) -> float | None:
+    """How many pixels of an image that a camera beside it is of are one of the image's own, along an axis; else None.
+
+    Programs that reduce images adapt the tags and leave files beside them as they are.
+
+    Args:
+        beside: the camera in the file.
+        own: that of the image's tags.
+        size: (height, width) of the image [px].
+    """
+    if not _same_but_for(_IN_PIXELS, beside, own):
+        return None
+    counts = np.array([own.col_scale, own.row_scale])
+    factors = np.array([beside.col_scale, beside.row_scale]) / counts
+    middles = (np.array([beside.col_offset, beside.row_offset]) + 0.5) / factors - 0.5
+    apart = np.abs(middles - (own.col_offset, own.row_offset)).max()
+    if np.abs(factors - 1).max() < _WHOLE_SHARE or factors.min() <= 0 or apart > SAME_PX:
+        return None
+    shares = np.abs(np.log(2 * np.abs(counts) / size[::-1])), np.abs(np.log(2 * np.abs(counts * factors) / size[::-1]))
+    return float(np.sqrt(factors.prod())) if (shares[0] < shares[1]).all() else None
+
+
+def _same_but_for(names: set[str], first: RPC, second: RPC) -> bool:
+    others = {f.name for f in fields(RPC)} - names
+    return all(np.allclose(getattr(first, n), getattr(second, n), rtol=1e-9, atol=1e-12) for n in others)
 
 
 def georeference_of(data: DatasetReader) -> Array | None:
@@ -108,4 +135,4 @@ def _of_larger(rpc: RPC, size: tuple[int, int]) -> bool:
     return max(starts) < _WHOLE_SHARE and max(ratios) > 1 + _WHOLE_SHARE
 
 
-__all__ = ["SAME_PX", "beside_georeference", "georeference_of", "of_another_window", "own_camera"]
+__all__ = ["SAME_PX", "beside_georeference", "georeference_of", "of_another_window", "of_other_pixels", "own_camera"]

@@ -12,7 +12,7 @@ from rasterio.windows import Window
 
 from sattools.camera import RPC
 from sattools.errors import InputError
-from sattools.prep.cameras import beside_georeference, georeference_of, of_another_window, own_camera
+from sattools.prep.cameras import beside_georeference, georeference_of, of_another_window, of_other_pixels, own_camera
 from sattools.prep.images import SourceImage
 from sattools.prep.metadata import Metadata, from_tags, read_sidecar
 from sattools.prep.tiles import camera_of_tile
@@ -114,19 +114,19 @@ def _doubt(source: SourceImage, within: Sequence[str], off: float) -> None:
 
 
 def _compare_with_own(source: SourceImage, own: RPC, metadata_dir: Path | None) -> None:
-    """Take an image's own camera where that of a file beside it was left behind when the image was cut."""
+    """Take an image's own camera where that of a file beside it was left behind when the image was cut or reduced."""
     metadata = source.metadata
     file = None if metadata.rpc_source == str(source.path) else Path(str(metadata.rpc_source))
     pointed_to = file is not None and metadata_dir is not None and file.parent == metadata_dir != source.path.parent
-    apart = None if pointed_to else of_another_window(source.rpc, own, source.size)
-    if apart is None:
+    if not pointed_to and (apart := of_another_window(source.rpc, own, source.size)) is not None:
+        whose = f"another window of the image ({apart[0]:+.0f} columns, {apart[1]:+.0f} rows)"
+    elif not pointed_to and (factor := of_other_pixels(source.rpc, own, source.size)) is not None:
+        whose = f"the image in other pixels ({factor:.3g} along one of its own)"
+    else:
         source.tags_rpc = own
         return
     name = "a file beside it" if file is None else file.name  # GDAL knows more of them
-    source.warn(
-        f"{name} has the camera of another window of the image ({apart[0]:+.0f} columns, {apart[1]:+.0f} rows): its "
-        "own RPC tags are taken"
-    )
+    source.warn(f"{name} has the camera of {whose}: its own RPC tags are taken")
     source.rpc = metadata.rpc = own
     metadata.rpc_source = str(source.path)
 

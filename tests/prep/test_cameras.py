@@ -12,7 +12,7 @@ from synthetic_views import LAT0, LON0, parallel_rpc
 
 from sattools.camera import RPC
 from sattools.camera.ground import from_geographic
-from sattools.prep.cameras import of_another_window, own_camera
+from sattools.prep.cameras import of_another_window, of_other_pixels, own_camera
 from sattools.prep.gate import check_sources
 from sattools.prep.loading import load_source
 from sattools.scene.sensor_files import write_sensor_image
@@ -50,6 +50,28 @@ def test_a_file_left_beside_an_image_that_was_cut_is_told_and_not_taken(tmp_path
     assert corner(source.rpc) == (0.0, 0.0)
     assert source.metadata.rpc_source == str(path)
     assert f"a_RPC.TXT {OTHER} (+30 columns, +25 rows): its own RPC tags are taken" in source.notes
+
+
+def test_a_file_left_beside_an_image_that_was_reduced_is_told_and_not_taken(tmp_path: Path) -> None:
+    whole = replace(OWN, col_offset=159.5, row_offset=149.5, col_scale=160.0, row_scale=150.0)
+    reduced = whole.reduced(2)
+    path = image(tmp_path, reduced)
+    whole.write(tmp_path / "a_RPC.TXT")
+    source = loaded(path)
+    assert (source.rpc.col_offset, source.rpc.col_scale) == (79.5, 80.0)
+    assert source.metadata.rpc_source == str(path)
+    words = "a_RPC.TXT has the camera of the image in other pixels (2 along one of its own): its own RPC tags are taken"
+    assert source.notes == [words]
+
+
+def test_tags_of_other_pixels_than_the_image_has_do_not_count() -> None:
+    """As of a multispectral image that was sharpened to panchromatic pixels and kept its tags."""
+    fine = replace(OWN, col_offset=79.5, row_offset=74.5, col_scale=80.0, row_scale=75.0)
+    assert of_other_pixels(fine, fine.reduced(4), SIZE) is None
+    assert of_other_pixels(fine, fine.reduced(4), (37, 40)) == pytest.approx(4.0)
+    assert of_other_pixels(fine.shifted(9, 0), fine.reduced(4), (37, 40)) is None
+    assert of_other_pixels(replace(fine, lat_offset=LAT0 + 1e-4), fine.reduced(4), (37, 40)) is None
+    assert of_other_pixels(fine, fine, SIZE) is None
 
 
 def test_what_gdal_alone_reads_beside_an_image_is_no_camera_of_its_own(tmp_path: Path) -> None:
