@@ -63,7 +63,7 @@ def of_another_window(beside: RPC, own: RPC, size: tuple[int, int]) -> tuple[flo
 def of_other_pixels(beside: RPC, own: RPC, size: tuple[int, int]) -> float | None:
     """How many pixels of an image that a camera beside it is of are one of the image's own, along an axis; else None.
 
-    Programs that reduce images adapt the tags and leave files beside them as they are.
+    Programs that reduce images, and cut them by the way, adapt the tags and leave files beside them as they are.
 
     Args:
         beside: the camera in the file.
@@ -74,9 +74,7 @@ def of_other_pixels(beside: RPC, own: RPC, size: tuple[int, int]) -> float | Non
         return None
     counts = np.array([own.col_scale, own.row_scale])
     factors = np.array([beside.col_scale, beside.row_scale]) / counts
-    middles = (np.array([beside.col_offset, beside.row_offset]) + 0.5) / factors - 0.5
-    apart = np.abs(middles - (own.col_offset, own.row_offset)).max()
-    if np.abs(factors - 1).max() < _WHOLE_SHARE or factors.min() <= 0 or apart > SAME_PX:
+    if np.abs(factors - 1).max() < _WHOLE_SHARE or factors.min() <= 0:
         return None
     shares = np.abs(np.log(2 * np.abs(counts) / size[::-1])), np.abs(np.log(2 * np.abs(counts * factors) / size[::-1]))
     return float(np.sqrt(factors.prod())) if (shares[0] < shares[1]).all() else None
