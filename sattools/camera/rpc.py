@@ -55,7 +55,8 @@ class RPC:
 
         GeoTIFF and NITF (anything whose RPC GDAL finds), DIMAP 2 and 3 XML (Pléiades, SPOT, Pléiades Neo),
         DigitalGlobe XML and `.RPB`, `_RPC.TXT` (IKONOS, Planet, SkySat, GDAL) and Sat-NeRF JSON are told apart by
-        content, not by name.
+        content, not by name. An image that says which part of a whole it is (NITF's ICHIPB) has the camera of that
+        part.
         Raises InputError when the file is missing, unreadable, holds no RPC or an incomplete one.
         """
         return cls.from_tags(read_rpc_fields(location(path)), source=str(path))

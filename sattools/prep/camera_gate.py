@@ -13,9 +13,10 @@ from sattools.camera.adjust import Adjustment
 from sattools.camera.ground import foreshortening, ground_sample_distance, view_direction
 from sattools.camera.sun import sun_position
 from sattools.errors import InputError
-from sattools.prep.cameras import SAME_PX
+from sattools.prep.cameras import SAME_PX, made_for_other_pixels
 from sattools.prep.images import SourceImage
 from sattools.prep.times import date_alone
+from sattools.scene.sidecars import tile_of
 
 _SUN_TOLERANCE_DEG = 5.0  # between metadata and time with place: more than refraction, rounding and a minute's drift
 _SUN_FAR_DEG = 12.0  # an hour of local instead of universal time
@@ -42,6 +43,13 @@ def check_camera(source: SourceImage) -> None:
         raise InputError(
             f"{source.path}: found a camera with {seen if math.isfinite(size + up) else 'no image of the ground'}, "
             f"expected the RPC of a satellite image (from {source.metadata.rpc_source})"
+        )
+    factor = made_for_other_pixels(rpc, source.size) if tile_of(source.path.stem) is None else None
+    if factor is not None:
+        changed = "reduced" if factor > 1 else "enlarged"
+        source.warn(
+            f"its camera, of {source.metadata.rpc_source}, is made for {factor:.3g} times as many pixels along both "
+            f"sides as the image has: was it {changed} without its RPC?"
         )
     other = source.tags_rpc
     if other is None or other is rpc:

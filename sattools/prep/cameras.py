@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 SAME_PX = 1.0  # as far as two files of one camera may differ by digits and conventions
 _IN_PIXELS = {"col_offset", "row_offset", "col_scale", "row_scale"}
+_MARGIN = 0.1  # of a camera's scale, by which vendors' are not centred on their image
+_OTHER_PIXELS = 0.2  # of the logarithm of an image's size: more than such margins
 _WHOLE_PX = 1e-3  # of a window's corner
 _WHOLE_SHARE = 0.02  # of an image's size: where the camera of a whole image begins, and what size it tells
 
@@ -80,6 +82,24 @@ def of_other_pixels(beside: RPC, own: RPC, size: tuple[int, int]) -> float | Non
     return float(np.sqrt(factors.prod())) if (shares[0] < shares[1]).all() else None
 
 
+def made_for_other_pixels(rpc: RPC, size: tuple[int, int]) -> float | None:
+    """By what the camera of a whole image counts more pixels along both sides than the image has, or fewer; else None.
+
+    As vendors make them, cameras are centred on their image and scaled by half of it, but for some hundredths.
+
+    Args:
+        rpc: the camera.
+        size: (height, width) of the image [px].
+    """
+    counts = np.array([rpc.col_scale, rpc.row_scale])
+    starts = np.abs(np.array([rpc.col_offset, rpc.row_offset]) - counts) / counts
+    ratios = 2 * counts / size[::-1]
+    if ratios.min() <= 0 or np.abs(starts).max() > _MARGIN or np.ptp(np.log(ratios)) > _MARGIN:
+        return None
+    factor = float(np.sqrt(ratios.prod()))
+    return factor if abs(np.log(factor)) > _OTHER_PIXELS else None
+
+
 def _same_but_for(names: set[str], first: RPC, second: RPC) -> bool:
     others = {f.name for f in fields(RPC)} - names
     return all(np.allclose(getattr(first, n), getattr(second, n), rtol=1e-9, atol=1e-12) for n in others)
@@ -133,4 +153,12 @@ def _of_larger(rpc: RPC, size: tuple[int, int]) -> bool:
     return max(starts) < _WHOLE_SHARE and max(ratios) > 1 + _WHOLE_SHARE
 
 
-__all__ = ["SAME_PX", "beside_georeference", "georeference_of", "of_another_window", "of_other_pixels", "own_camera"]
+__all__ = [
+    "SAME_PX",
+    "beside_georeference",
+    "georeference_of",
+    "made_for_other_pixels",
+    "of_another_window",
+    "of_other_pixels",
+    "own_camera",
+]

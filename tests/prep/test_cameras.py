@@ -74,6 +74,35 @@ def test_tags_of_other_pixels_than_the_image_has_do_not_count() -> None:
     assert of_other_pixels(fine, fine, SIZE) is None
 
 
+@pytest.mark.parametrize(
+    ("name", "half", "words"),
+    [
+        (
+            "a",
+            (160.0, 150.0),
+            "is made for 2 times as many pixels along both sides as the image has: was it reduced with",
+        ),
+        (
+            "a",
+            (40.0, 37.5),
+            "is made for 0.5 times as many pixels along both sides as the image has: was it enlarged wi",
+        ),
+        ("a", (161.8, 161.8), "is made for 2.09 times as many pixels along both sides as the image has: was it re"),
+        ("a", (80.9, 80.9), ""),  # as of a WorldView-2 whose rows have a margin of 8 %
+        ("a", (160.0, 75.0), ""),  # a strip of its left half
+        ("a_R1C1", (160.0, 150.0), ""),
+    ],
+)
+def test_an_image_that_was_reduced_without_its_camera_is_told(
+    tmp_path: Path, name: str, half: tuple[float, float], words: str
+) -> None:
+    path = image(tmp_path, None).rename(tmp_path / f"{name}.tif")
+    rpc = OWN.shifted(half[0] - 0.5 - OWN.col_offset, half[1] - 0.5 - OWN.row_offset)
+    replace(rpc, col_scale=half[0], row_scale=half[1]).write(tmp_path / f"{name}_RPC.TXT")
+    notes = loaded(path).notes
+    assert [f"its camera, of {tmp_path}/{name}_RPC.TXT, {words}" in note for note in notes] == [True] * bool(words)
+
+
 def test_what_gdal_alone_reads_beside_an_image_is_no_camera_of_its_own(tmp_path: Path) -> None:
     aux(tmp_path, OWN.shifted(30, 25))
     assert corner(loaded(image(tmp_path)).rpc) == (0.0, 0.0)
