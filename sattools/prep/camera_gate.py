@@ -44,13 +44,7 @@ def check_camera(source: SourceImage) -> None:
             f"{source.path}: found a camera with {seen if math.isfinite(size + up) else 'no image of the ground'}, "
             f"expected the RPC of a satellite image (from {source.metadata.rpc_source})"
         )
-    factor = made_for_other_pixels(rpc, source.size) if tile_of(source.path.stem) is None else None
-    if factor is not None:
-        changed = "reduced" if factor > 1 else "enlarged"
-        source.warn(
-            f"its camera, of {source.metadata.rpc_source}, is made for {factor:.3g} times as many pixels along both "
-            f"sides as the image has: was it {changed} without its RPC?"
-        )
+    _check_size(source)
     other = source.tags_rpc
     if other is None or other is rpc:
         return
@@ -66,6 +60,26 @@ def check_camera(source: SourceImage) -> None:
         whose = source.metadata.rpc_source
         beside = "in a file beside it" if whose == str(source.path) else f"of {whose}"
         source.warn(f"its own RPC tags differ by {away:.1f} px from the camera {beside}, which is taken")
+
+
+def _check_size(source: SourceImage) -> None:
+    """Warn of a camera that is not of this image by its size: programs that write pixels often leave the RPC behind."""
+    whole, (height, width) = source.metadata.whole, source.size
+    if tile_of(source.path.stem) is not None:
+        return
+    factor = made_for_other_pixels(source.rpc, source.size)
+    if factor is not None:
+        source.warn(
+            f"its camera, of {source.metadata.rpc_source}, is made for {factor:.3g} times as many pixels along both "
+            f"sides as the image has: was it {'reduced' if factor > 1 else 'enlarged'} without its RPC?"
+        )
+    elif (
+        whole not in (None, source.size) and source.tags_rpc is None and source.metadata.rpc_source != str(source.path)
+    ):
+        source.warn(
+            f"its camera, of {source.metadata.rpc_source}, is of an image of {whole[1]} x {whole[0]} pixels by the "
+            f"vendor's metadata, this one has {width} x {height}: was it cut or reduced without its RPC?"
+        )
 
 
 def _limit_px(size: tuple[int, int]) -> float:

@@ -80,6 +80,7 @@ class Metadata:
     rpc: RPC | None = None
     rpc_source: str | None = None
     size: tuple[int, int] | None = None  # (height, width) the metadata were made for
+    whole: tuple[int, int] | None = None  # (height, width) of the vendor's product, which files may be tiles of
     time: datetime | None = None
     sun: tuple[float, float] | None = None  # azimuth from true north, elevation [degrees]
     platform: str | None = None
@@ -125,6 +126,12 @@ def parse_sun(azimuth: Any, elevation: Any, source: str = "sun") -> tuple[float,
     a = _parse_angle(azimuth, -360.0, 360.0, f"{source}: azimuth of the sun")
     e = _parse_angle(elevation, -90.0, 90.0, f"{source}: elevation of the sun")
     return None if a is None or e is None else (a % 360.0, e)
+
+
+def _size(rows: str | None, columns: str | None) -> tuple[int, int] | None:
+    """(height, width) from texts, None unless both are numbers."""
+    texts = [(text or "").strip() for text in (rows, columns)]
+    return (int(texts[0]), int(texts[1])) if all(text.isdecimal() and text.isascii() for text in texts) else None
 
 
 def find_platform(text: str) -> str | None:
@@ -242,6 +249,7 @@ def _from_xml(path: Path) -> Metadata:
         code = names.get((mission or "").upper(), (mission or "").upper().replace("-", "")) + (index or "")
         model = bool(find_all(root, "Inverse_Model") or find_all(root, "GroundtoImage_Values"))
         bits = first("NBITS_VALID", "BIT_DEPTH") if not model else None
+        raster = {local_name(e): e.text for block in find_all(root, "Raster_Dimensions")[:1] for e in block}
         return Metadata(
             rpc=RPC.from_file(path) if model else None,
             rpc_source=str(path) if model else None,
@@ -250,6 +258,7 @@ def _from_xml(path: Path) -> Metadata:
             bits=int(bits) if bits and bits.isdigit() and 0 < int(bits) <= 32 else None,
             sun=parse_sun(angles.get("SUN_AZIMUTH"), angles.get("SUN_ELEVATION"), str(path)),
             tiles=tiles_of_dimap(root),
+            whole=_size(raster.get("NROWS"), raster.get("NCOLS")),
         )
     model = bool(find_all(root, "RPB"))
     return Metadata(
@@ -263,6 +272,7 @@ def _from_xml(path: Path) -> Metadata:
             str(path),
         ),
         tiles=tiles_of_isd(root),
+        whole=_size(first("NUMROWS"), first("NUMCOLUMNS")),
     )
 
 
@@ -278,6 +288,7 @@ def _from_imd(path: Path) -> Metadata:
         time=time_in_file(first("FIRSTLINETIME", "EARLIESTACQTIME") or "", path),
         platform=find_platform(first("SATID") or ""),
         sun=parse_sun(first("MEANSUNAZ", "SUNAZ"), first("MEANSUNEL", "SUNEL"), str(path)),
+        whole=_size(first("NUMROWS"), first("NUMCOLUMNS")),
     )
 
 

@@ -103,6 +103,27 @@ def test_an_image_that_was_reduced_without_its_camera_is_told(
     assert [f"its camera, of {tmp_path}/{name}_RPC.TXT, {words}" in note for note in notes] == [True] * bool(words)
 
 
+IMD = ("a.IMD", "numRows = {};\nnumColumns = {};\n")
+ISD = ("a.XML", "<isd><IMD><NUMROWS>{}</NUMROWS><NUMCOLUMNS>{}</NUMCOLUMNS></IMD></isd>")
+DIM = (
+    "DIM_a.XML",
+    "<Dimap_Document><Raster_Dimensions><NROWS>{}</NROWS><NCOLS>{}</NCOLS></Raster_Dimensions></Dimap_Document>",
+)
+
+
+@pytest.mark.parametrize(("name", "text"), [IMD, ISD, DIM])
+def test_an_image_that_was_cut_without_its_camera_is_told(tmp_path: Path, name: str, text: str) -> None:
+    path = image(tmp_path, None)
+    OWN.write(tmp_path / "a_RPC.TXT")
+    (tmp_path / name).write_text(text.format(900, 800))
+    words = "is of an image of 800 x 900 pixels by the vendor's metadata, this one has 160 x 150: was it cut or reduced"
+    (note,) = loaded(path).notes
+    assert note.startswith(f"its camera, of {tmp_path}/a_RPC.TXT, {words}")
+    assert loaded(image(tmp_path)).notes == []  # its own tags agree
+    (tmp_path / name).write_text(text.format(150, 160))
+    assert loaded(image(tmp_path, None)).notes == []
+
+
 def test_what_gdal_alone_reads_beside_an_image_is_no_camera_of_its_own(tmp_path: Path) -> None:
     aux(tmp_path, OWN.shifted(30, 25))
     assert corner(loaded(image(tmp_path)).rpc) == (0.0, 0.0)
