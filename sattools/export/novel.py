@@ -83,6 +83,12 @@ def _light_towards(surface: SurfaceScene, visibility: Tensor | None, sun: Vector
     return surface.albedo * (v + (1 - v) * ambient)
 
 
+def _numbers_of_light(part: Part, sun: Vector | None) -> float:
+    """Factor of `_light_towards` that makes the images' numbers of it under a sun (unit vector) that no image has."""
+    level = level_towards(part.model, part.surface.gain, sun)
+    return level * light_scale(part.model.radiance, sun) if isinstance(part.surface, ReflectiveScene) else level
+
+
 def render_item(
     scene: Scene, item_id: str, parts: Parts, sun_angles: tuple[float, float] | None, folder: Path | None = None
 ) -> Picture:
@@ -171,8 +177,7 @@ def _shown(
         light = _light_towards(surface, part.lit(view.sun), view.sun, view.slope.unit())
         if known is not None and not model.absolute:
             light = surface.gain[known] * light + surface.offset[known]
-        light = light * level_towards(model, surface.gain, view.sun)
-        light = light * light_scale(model.radiance, view.sun) if isinstance(surface, ReflectiveScene) else light
+        light = light * _numbers_of_light(part, view.sun)
         rays = ParallelRays(view.slope, view.z_ref, pose)
         picture, depth, opacity = surface_picture(model, surface.height, light, rays, z_range)
     else:
@@ -247,9 +252,10 @@ def write_relit(exported: Shown, sun_angles: tuple[float, float]) -> None:
         for part in parts.parts():
             if head.field == "surface":
                 light = _light_towards(part.surface, part.lit(sun), sun, (0.0, 0.0, 1.0)).detach().numpy()
-                light = light * level_towards(part.model, part.surface.gain, sun)
+                light = light * _numbers_of_light(part, sun)
             else:
                 light, _, _ = field_picture(part.model, from_above(part.model, sun), None, scene.require_height_range())
+            light = np.maximum(light, 0)  # as the albedo is exported, whose darkest ground may be below none at all
             shown = light if part.valid is None else np.where(part.valid[..., None], light, np.nan)
             rows, cols = part.own
             own = shown[

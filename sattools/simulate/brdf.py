@@ -8,10 +8,14 @@ it shares neither code nor algebra with what a fit uses: Hapke (1981, 1984) with
 from __future__ import annotations
 
 import math
+from typing import Any
+
+import numpy as np
 
 from sattools.compiled import njit
 
 LAMBERT, RPV, HAPKE = 0, 1, 2
+LEVEL_SUN_DEG = 15.0  # from the vertical, as in the maps of a fit
 _TINY = 1e-9
 
 _jit = njit(cache=True, nogil=True, fastmath=False)
@@ -116,4 +120,26 @@ def radiance_factor(
     return hapke(i, e, psi, g, amplitude, p1, p2, math.radians(max(p3, 1e-3))) * cos_i
 
 
-__all__ = ["HAPKE", "LAMBERT", "RPV", "chandrasekhar", "hapke", "radiance_factor", "rpv"]
+@_jit
+def level_brf(model: int, amplitude: Any, parameters: Any) -> Any:
+    """BRF ``[H, W, C]`` of level facets seen from above, the sun `LEVEL_SUN_DEG` from the vertical.
+
+    Args:
+        model: LAMBERT, RPV or HAPKE.
+        amplitude: ``[H, W, C]`` albedo, rho0 or w.
+        parameters: ``[H, W, 3]``, see `radiance_factor`.
+    """
+    tilt = math.radians(LEVEL_SUN_DEG)
+    found = np.empty(amplitude.shape)
+    for r in range(amplitude.shape[0]):
+        for c in range(amplitude.shape[1]):
+            p1, p2, p3 = parameters[r, c]
+            for k in range(amplitude.shape[2]):
+                found[r, c, k] = radiance_factor(
+                    model, 0.0, 0.0, 1.0, math.sin(tilt), 0.0, math.cos(tilt), 0.0, 0.0, 1.0,
+                    amplitude[r, c, k], p1, p2, p3,
+                ) / math.cos(tilt)  # fmt: skip
+    return found
+
+
+__all__ = ["HAPKE", "LAMBERT", "LEVEL_SUN_DEG", "RPV", "chandrasekhar", "hapke", "level_brf", "radiance_factor", "rpv"]

@@ -58,7 +58,7 @@ def write_truth(scene: Scene, world: World, grid: Grid) -> None:
     rasters: dict[str, tuple[str, np.ndarray, float | None, str | None]] = {
         "truth_dsm": ("DSM", world.surface(east, north).astype(np.float32), float("nan"), "m"),
         "truth_classes": ("CLS", world.on_grid(world.classes, grid), None, None),
-        "truth_albedo": ("ALBEDO", world.on_grid(world.albedo, grid).transpose(2, 0, 1), float("nan"), None),
+        "truth_albedo": ("ALBEDO", world.on_grid(world.level_reflectance, grid).transpose(2, 0, 1), float("nan"), None),
     }
     if world.ground is not None:
         rasters["truth_dtm"] = ("DTM", world.on_grid(world.ground, grid).astype(np.float32), float("nan"), "m")

@@ -9,7 +9,7 @@ import numpy as np
 
 from sattools.camera.ground import from_geographic, utm_crs
 from sattools.scene.grid import Grid
-from sattools.simulate.brdf import HAPKE, LAMBERT, RPV
+from sattools.simulate.brdf import HAPKE, LAMBERT, RPV, level_brf
 from sattools.simulate.materials import grain
 from sattools.simulate.terrain import read_surface, tell_unknown
 from sattools.simulate.world import GROUND, World
@@ -58,6 +58,16 @@ class NaturalWorld(World):
     model: int
     parameters: np.ndarray
     units: np.ndarray
+
+    @property
+    def level_reflectance(self) -> np.ndarray:
+        """BRF ``[H, W, 3]`` of level ground seen from above under a sun 15 degrees from the vertical.
+
+        That is what a fitted reflectance model's ``albedo`` and ``reflectance`` show; w and rho0 are none.
+        """
+        if self.model == LAMBERT:
+            return self.albedo
+        return level_brf(self.model, self.albedo, self.parameters).astype(self.albedo.dtype)
 
 
 def build_natural(

@@ -57,6 +57,11 @@ class World:
         return self.height
 
     @property
+    def level_reflectance(self) -> np.ndarray:
+        """Reflectance ``[H, W, 3]`` of level ground of what every cell is made of, as seen from above."""
+        return self.albedo
+
+    @property
     def turn(self) -> np.ndarray:
         """[2, 2] matrix from (east, north) to (along columns, along rows), both in metres."""
         c, s = math.cos(math.radians(self.rotation_deg)), math.sin(math.radians(self.rotation_deg))

@@ -17,7 +17,7 @@ from sattools.compare.metrics import image_errors
 from sattools.errors import SceneError
 from sattools.export.context import Exported
 from sattools.export.material import material_maps, write_material
-from sattools.export.novel import render_item
+from sattools.export.novel import Shown, render_item, write_relit
 from sattools.export.options import ExportOptions
 from sattools.export.parts import WholeModel
 from sattools.export.stage import export
@@ -170,3 +170,23 @@ def test_the_sun_takes_two_numbers_on_the_command_line() -> None:
     values = tomllib.loads(shown.output)["export"]
     assert (values["sun"], values["view"]) == ([135.0, 40.0], ["A", "B"])
     assert CliRunner().invoke(main, ["export", "--sun", "135"]).exit_code == 2
+
+
+def test_the_scene_under_another_sun_has_the_numbers_that_the_images_have(fitted: Scene, tmp_path: Path) -> None:
+    model = FittedModel.load(fitted.path(fitted.products["model"]))
+    relit = {}
+    for kind in ("reflectance_factor", "toa_reflectance"):
+        scene = replace(Scene.from_json(fitted.to_json()), root=tmp_path / kind)
+        whole = WholeModel(replace(model, radiance=kind), model.surface())
+        write_relit(Shown(scene, whole), (250.0, 30.0))
+        relit[kind] = product(scene, "relit")
+    # pi L over the sun's light on level ground, half of that across its beam
+    np.testing.assert_allclose(relit["toa_reflectance"], 2 * relit["reflectance_factor"], rtol=1e-5)
+
+
+def test_no_ground_under_another_sun_is_darker_than_none(fitted: Scene, tmp_path: Path) -> None:
+    own = FittedModel.load(fitted.path(fitted.products["model"]))
+    scene = replace(Scene.from_json(fitted.to_json()), root=tmp_path)
+    dark = replace(own, brdf="lambert", albedo=torch.full_like(own.albedo, -0.1))
+    write_relit(Shown(scene, WholeModel(dark, dark.surface())), (250.0, 30.0))
+    assert (product(scene, "relit") == 0).all()

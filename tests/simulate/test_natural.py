@@ -213,3 +213,17 @@ def test_plain_units_are_some_of_ground_that_has_a_model(tmp_path: Path) -> None
     assert without_effect(SimulateOptions(**{**PAIR, "plain_units": 3}), ["plain_units"]) == {}
     with pytest.raises(InputError, match="--plain-units: found 4, expected at most --units, 3"):
         SimulateOptions(**{**PAIR, "plain_units": 4})
+
+
+@pytest.mark.parametrize("model", ["hapke", "rpv"])
+def test_the_true_albedo_is_a_reflectance_whatever_the_model(model: Any, tmp_path: Path) -> None:
+    """That of level ground under a sun 15 degrees from the vertical, as `export` has it; it was w or rho0."""
+    made = simulate(SimulateOptions(**PAIR, reflectance=model), tmp_path)
+    names = {"hapke": ("w", "b", "c", "theta"), "rpv": ("rho0", "k", "asymmetry", "rhoc")}[model]
+    truth = [read_raster(made.path(made.products[f"truth_{name}"]))[0].transpose(1, 2, 0) for name in names]
+    function = {"hapke": hapke, "rpv": rpv}[model]
+    up, sun = torch.tensor([0.0, 0.0, 1.0]).double(), torch.tensor([0.2588190, 0.0, 0.9659258]).double()
+    level = function(up, sun, up, *(torch.from_numpy(a).double() for a in truth)).numpy().transpose(2, 0, 1)
+    albedo, _ = read_raster(made.path(made.products["truth_albedo"]))
+    # one of the four cells of which w and rho0 are the means
+    assert np.median(albedo / level) == pytest.approx(1, abs=0.02)
