@@ -232,14 +232,15 @@ def resize_map(array: np.ndarray, source: Grid, target: Grid) -> np.ndarray:
     import cv2
 
     factor = target.cell_size / source.cell_size
-    # what cells of another size cover of the source, rounding aside: means count parts of cells, bilinear values do not
-    size = [math.ceil(n * factor - 1e-6) if factor > 1 else round(n * factor) for n in target.shape]
+    size = [math.ceil(n * factor - 1e-6) for n in target.shape]  # what cells of another size cover of the source
     edge = [(0, max(0, wanted - found)) for wanted, found in zip(size, array.shape, strict=True)]
     whole = np.pad(array, edge, mode="edge")[: size[0], : size[1]].astype(np.float32)
     known = np.isfinite(whole)
     layers = (np.where(known, whole, np.float32(0)), known.astype(np.float32))
     if factor > 1:
         value, weight = (_means(layer, factor, target.shape) for layer in layers)
+    elif any(abs(n * factor - covered) > 1e-6 for n, covered in zip(target.shape, size, strict=True)):
+        value, weight = (_between(layer, factor, target.shape) for layer in layers)  # OpenCV would stretch the map
     else:
         value, weight = (cv2.resize(layer, target.shape[::-1], interpolation=cv2.INTER_LINEAR) for layer in layers)
     mean: np.ndarray = value / np.maximum(weight, np.float32(1e-6))
@@ -257,6 +258,18 @@ def _means(values: np.ndarray, factor: float, shape: tuple[int, ...]) -> np.ndar
         upto = total[before] + share * (total[before + 1] - total[before])
         values = np.moveaxis(np.diff(upto, axis=0) / factor, 0, axis)
     return values.astype(np.float32)
+
+
+def _between(values: np.ndarray, factor: float, shape: tuple[int, ...]) -> np.ndarray:
+    """Bilinear values at the centres of cells ``factor`` times as wide; beyond the last centres, theirs."""
+    for axis, count in enumerate(shape):
+        whole = np.moveaxis(values, axis, -1)
+        at = np.clip((np.arange(count) + 0.5) * factor - 0.5, 0, whole.shape[-1] - 1)
+        before = np.minimum(at.astype(int), max(0, whole.shape[-1] - 2))
+        share = (at - before).astype(np.float32)
+        after = np.minimum(before + 1, whole.shape[-1] - 1)
+        values = np.moveaxis(whole[..., before] * (1 - share) + whole[..., after] * share, -1, axis)
+    return values
 
 
 def nearest_cells(array: np.ndarray, source: Grid, target: Grid) -> np.ndarray:

@@ -241,13 +241,14 @@ def in_crs(geometries: Sequence[Any], source: str, crs: str) -> list[Any]:
     return list(shapely.transform(places, lambda xy: np.column_stack(transformer.transform(xy[:, 0], xy[:, 1]))))
 
 
-def geopackage(features: Features, layer: str, kind: str) -> bytes:
+def geopackage(features: Features, layer: str, kind: str, about: str = "") -> bytes:
     """The bytes of a GeoPackage.
 
     Args:
         features: what it holds.
         layer: name of the layer.
         kind: of its geometries, such as ``MultiPolygon``.
+        about: description of the layer.
     """
     import io
 
@@ -258,7 +259,7 @@ def geopackage(features: Features, layer: str, kind: str) -> bytes:
     made = io.BytesIO()  # in memory: on a full disk SQLite leaves half a database without an error
     write(
         made, encoded, list(features.columns.values()), list(features.columns), layer=layer, driver="GPKG",
-        geometry_type=kind, crs=features.crs,
+        geometry_type=kind, crs=features.crs, layer_options={"DESCRIPTION": about} if about else None,
     )  # fmt: skip
     return made.getvalue()
 

@@ -1,5 +1,7 @@
 """Contours: lines of equal height where the surface has that height, and none where it has none."""
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +89,14 @@ def test_the_file_is_a_geopackage_with_heights(tmp_path: Path) -> None:
     frame = geopandas.read_file(tmp_path / "contours.gpkg", layer="contours")
     assert len(frame) == count
     assert set(frame.height) == {5.0, 10.0, 15.0}
+
+
+def test_the_layer_says_what_its_heights_are_above(tmp_path: Path) -> None:
+    """Its CRS does not, and metres above the ellipsoid and above a geoid are tens of metres apart."""
+    write_contours(tmp_path / "contours.gpkg", maps_of(tmp_path, cone()), 5.0, silent, "EGM96 geoid")
+    with closing(sqlite3.connect(tmp_path / "contours.gpkg")) as layers:
+        said = layers.execute("select table_name, description from gpkg_contents").fetchall()
+    assert said == [("contours", "heights [m] above the EGM96 geoid")]
 
 
 def test_a_flat_surface_between_two_levels_has_an_empty_layer(tmp_path: Path) -> None:

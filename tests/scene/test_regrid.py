@@ -57,6 +57,17 @@ def test_a_map_on_a_finer_grid_is_bilinear_and_continues_its_border() -> None:
     np.testing.assert_allclose(on_fine, [[0.0, 2.0, 6.0, 8.0]] * 2)
 
 
+@pytest.mark.parametrize(("cell", "width"), [(0.3, 167), (0.45, 112), (0.25, 199)])
+def test_a_map_on_finer_cells_that_do_not_divide_it_keeps_its_place(cell: float, width: int) -> None:
+    """It was stretched to whole cells: by a fifth of one at the far border, and by half of one in odd halves."""
+    source, target = Grid("EPSG:32617", 0, 0, 0.5, 100, 100), Grid("EPSG:32617", 0, 0, cell, width, width)
+    plane = source.x()[None] + 3 * source.y()[:, None]
+    inner = target.x() < 49.7
+    resized = resize_map(plane, source, target)[np.ix_(inner, inner)]
+    expected = target.x()[None] + 3 * target.y()[:, None]
+    np.testing.assert_allclose(resized[1:, 1:], expected[np.ix_(inner, inner)][1:, 1:], atol=1e-4)
+
+
 def test_a_target_that_reaches_beyond_the_source_repeats_its_last_cells() -> None:
     source, target = Grid("EPSG:32617", 0, 0, 1.0, 2, 2), Grid("EPSG:32617", 0, 0, 1.0, 3, 3)
     larger = resize_map(np.array([[1.0, 2.0], [3.0, 4.0]]), source, target)

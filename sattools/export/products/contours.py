@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter
 from sattools.errors import InputError
 from sattools.export.products.maps import Maps
 from sattools.progress import Progress
+from sattools.scene.datums import ELLIPSOID
 from sattools.scene.files import write_bytes
 from sattools.scene.vectors import Features, geopackage
 
@@ -58,17 +59,18 @@ def contour_lines(maps: Maps, interval: float, progress: Progress) -> Features:
     return Features(lines, {"height": heights, "major": numbers % _MAJOR == 0}, maps.grid.crs)
 
 
-def write_contours(path: Path, maps: Maps, interval: float, progress: Progress) -> int:
-    """Write `contour_lines` as a GeoPackage; the number of lines.
+def write_contours(path: Path, maps: Maps, interval: float, progress: Progress, datum: str = ELLIPSOID) -> int:
+    """Write `contour_lines` as a GeoPackage, whose layer's description says what heights are above; how many lines.
 
     Args:
         path: to write.
         maps: with the DSM.
         interval: between two levels [m].
         progress: told the share done.
+        datum: what the heights are above.
     """
     lines = contour_lines(maps, interval, progress)
-    write_bytes(path, geopackage(lines, "contours", "LineString"))
+    write_bytes(path, geopackage(lines, "contours", "LineString", f"heights [m] above the {datum}"))
     return len(lines)
 
 

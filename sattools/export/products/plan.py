@@ -107,8 +107,8 @@ def _ply(order: _Order) -> JsonObject:
 def _contours(order: _Order) -> JsonObject:
     from sattools.export.products.contours import write_contours
 
-    interval = order.wanted.interval
-    return {"lines": write_contours(order.files["contours"], order.maps, interval, order.progress)}
+    interval, datum = order.wanted.interval, order.wanted.datum
+    return {"lines": write_contours(order.files["contours"], order.maps, interval, order.progress, datum)}
 
 
 def _dtm(order: _Order) -> JsonObject:
