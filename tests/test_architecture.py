@@ -15,7 +15,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # A room may import rooms of a lower floor and itself, nothing else. Rooms of one floor do not know each other, except
 # where ALSO says so.
 FLOORS = [
-    {"errors", "helpers", "processors", "progress", "settings", "system"},
+    {"arrays", "errors", "helpers", "processors", "progress", "settings", "system"},
     {"compiled", "runlog"},
     {"scene"},
     {"camera", "radiometry", "reflectance"},

@@ -3,10 +3,10 @@
 The models take tensors or numpy arrays and give back what they were given.
 """
 
+from sattools.arrays import numpy_too
 from sattools.reflectance import hapke as _hapke
 from sattools.reflectance import lambert as _lambert
 from sattools.reflectance import rpv as _rpv
-from sattools.reflectance.arrays import numpy_too
 
 hapke = numpy_too(_hapke.hapke)
 lambert = numpy_too(_lambert.lambert)

@@ -9,10 +9,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from sattools.arrays import numpy_too
+
 #: `sun_visibility`, or what takes its place: heights ``[H, W]`` [m], edge of a cell [m], unit vector to the sun
 Cast = Callable[[Tensor, float, tuple[float, float, float]], Tensor]
 
 
+@numpy_too
 def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, float, float]) -> Tensor:
     """Share of the sun's light that reaches every cell past the other cells.
 
@@ -23,14 +26,23 @@ def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, 
     of which a part may be lit, and of the sun's radius at the caster's distance.
 
     Args:
-        height: ``[H, W]`` heights [m], row 0 = north; what is not finite counts as the lowest of them.
+        height: ``[H, W]`` heights [m], a tensor or a numpy array, row 0 = north; what is not finite counts as the
+            lowest of them.
         cell_size: [m].
         sun: unit vector (east, north, up) from the ground to the sun.
 
     Returns:
         ``[H, W]`` in [0, 1], 1 = lit; all 0 with the sun at or below the horizon. Gradients reach the cell (higher =
-        more light) and the cell that casts the deciding shadow (higher = less).
+        more light) and the cell that casts the deciding shadow (higher = less). An array where an array is given.
+
+    Raises:
+        TypeError: heights that are neither a tensor nor an array.
+        ValueError: heights that have not two axes.
     """
+    if not isinstance(height, Tensor):
+        raise TypeError(f"height: found {type(height).__name__}, expected a tensor or an array")
+    if height.ndim != 2:
+        raise ValueError(f"height: found {tuple(height.shape)}, expected two axes: rows and columns")
     east, north, up = (float(v) for v in sun)
     if up <= 0:
         return torch.zeros_like(height)

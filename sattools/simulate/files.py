@@ -9,6 +9,7 @@ import numpy as np
 
 from sattools.camera.rpc import RPC
 from sattools.camera.rpc_names import SCALARS, VECTORS
+from sattools.scene.datums import ELLIPSOID
 from sattools.scene.document import Scene
 from sattools.scene.files import write_text
 from sattools.scene.grid import Grid
@@ -64,7 +65,8 @@ def write_truth(scene: Scene, world: World, grid: Grid) -> None:
         rasters["truth_dtm"] = ("DTM", world.on_grid(world.ground, grid).astype(np.float32), float("nan"), "m")
     for product, (suffix, array, nodata, units) in rasters.items():
         href = f"truth/{scene.id}_{suffix}.tif"
-        write_cog(scene.output(href), array, grid, nodata=nodata, units=units)
+        above = {"VERTICAL_DATUM": ELLIPSOID} if units == "m" else None
+        write_cog(scene.output(href), array, grid, nodata=nodata, units=units, tags=above)
         scene.products[product] = href
     west, south, _, _ = grid.bounds
     text = f"{west:.6f}\n{south:.6f}\n{grid.width:.6f}\n{grid.cell_size:.6f}\n"

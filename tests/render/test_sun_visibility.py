@@ -32,6 +32,17 @@ def test_flat_ground_is_lit(sun: Any) -> None:
     assert torch.equal(sun_visibility(torch.full((20, 30), -3.5), 0.5, sun), torch.ones(20, 30))
 
 
+def test_arrays_are_shaded_as_tensors_are() -> None:
+    height, _, _ = block()
+    shaded = sun_visibility(height.numpy(), 0.5, sun_at(90, 30))
+    assert isinstance(shaded, np.ndarray)
+    np.testing.assert_array_equal(shaded, sun_visibility(height, 0.5, sun_at(90, 30)).numpy())
+    with pytest.raises(ValueError, match=r"height: found \(1, 160, 160\), expected two axes"):
+        sun_visibility(height[None], 0.5, sun_at(90, 30))
+    with pytest.raises(TypeError, match="height: found list, expected a tensor or an array"):
+        sun_visibility([[0.0]], 0.5, sun_at(90, 30))
+
+
 def test_a_sun_at_the_zenith_casts_no_shadow() -> None:
     height, _, _ = block()
     assert float(sun_visibility(height, 0.5, (0.0, 0.0, 1.0)).min()) == 1

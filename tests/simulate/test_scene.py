@@ -19,7 +19,7 @@ from sattools.cli import main
 from sattools.compare import read_dfc2019, read_reference
 from sattools.errors import OutputExistsError
 from sattools.scene import Grid, Scene
-from sattools.scene.raster import read_image, read_raster
+from sattools.scene.raster import heights_above, read_image, read_raster
 from sattools.simulate import SimulateOptions, simulate
 from sattools.simulate.stage import check_start, plan_views
 
@@ -70,6 +70,13 @@ def test_rpc_of_the_scene_is_exact_and_that_of_the_image_has_the_bias(scene: Any
         assert delta == pytest.approx(bias, abs=1e-5)
         assert metadata.projection(*at) == pytest.approx(tagged.projection(*at), abs=1e-9)
         assert item.properties["sattools:simulated"]["rpc_fit_error_px"] < 0.001
+
+
+def test_true_heights_say_that_they_are_above_the_ellipsoid(scene: Any) -> None:
+    """So that `compare` warns of a surface above a geoid."""
+    assert heights_above(scene.path(scene.products["truth_dsm"])) == "ellipsoid"
+    assert heights_above(scene.path(scene.products["truth_dtm"])) == "ellipsoid"
+    assert heights_above(scene.path(scene.products["truth_classes"])) is None
 
 
 def test_heights_seen_by_a_view_agree_with_the_truth_where_its_pixels_lie(scene: Any) -> None:
