@@ -86,6 +86,16 @@ def test_faces_miss_the_surface_by_no_more_than_the_tolerance(tolerance: float) 
     assert len(mesh.faces) < (0.5 if tolerance == 0.1 else 0.1) * 2 * flat.size
 
 
+def test_a_saddle_is_as_exact_as_all_other_ground() -> None:
+    """Its squares have straight edges, but two triangles over 64 cells would miss its middle by 2.6 m."""
+    rows, cols = np.mgrid[0:64, 0:64] - 31.5
+    mesh = mesh_of(0.0025 * rows * cols, 1.0, 0.25)
+    x, y, z = mesh.vertices.T
+    rows, cols = np.mgrid[1:64, 1:64]
+    found = LinearTriInterpolator(Triangulation(x, y, mesh.faces), z)(cols, rows)
+    assert np.abs(found - 0.0025 * (rows - 32) * (cols - 32)).max() <= 0.25
+
+
 def test_no_crack_is_left_within() -> None:
     """Edges of one face only lie along the border, along holes, or upright where walls of several heights meet."""
     height = rough()

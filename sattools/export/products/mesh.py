@@ -118,14 +118,15 @@ def _join(corners, size, edge, tolerance):
             last = edge - 1
             nw, ne = corners[r, c, 0], corners[r, c + last, 1]
             se, sw = corners[r + last, c + last, 2], corners[r + last, c, 3]
-            fits = True
+            bend = abs(nw + se - ne - sw) / 4  # by which two triangles miss the bilinear surface of a saddle
+            fits = bend <= tolerance
             for i in range(edge):
                 for j in range(edge):
                     for k in range(4):
                         v = (i + (1 if k >= 2 else 0)) / edge
                         u = (j + (1 if k in (1, 2) else 0)) / edge
                         plane = (1 - v) * ((1 - u) * nw + u * ne) + v * ((1 - u) * sw + u * se)
-                        if abs(corners[r + i, c + j, k] - plane) > tolerance:
+                        if abs(corners[r + i, c + j, k] - plane) > tolerance - bend:
                             fits = False
                     # a wall within
                     if j < last and not _same(corners[r + i, c + j], corners[r + i, c + j + 1], 1, 0, 2, 3):
