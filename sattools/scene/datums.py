@@ -19,7 +19,14 @@ def horizontal(crs: rasterio.crs.CRS) -> str:
     parsed = _parsed(crs)
     if parsed is None or not (parsed.is_compound or len(parsed.axis_info) > 2):
         return str(crs.to_string())
-    return str(rasterio.crs.CRS.from_wkt(parsed.to_2d().to_wkt()).to_string())
+    flat = parsed.to_2d()
+    text, name = flat.to_wkt(), flat.name
+    if parsed.is_compound:  # GeoTIFF has one name for both parts where the horizontal one has no code
+        added = f" + {parsed.sub_crs_list[1].name}"
+        while name.endswith(added):
+            name = name.removesuffix(added)
+        text = text.replace(flat.name, name, 1)
+    return str(rasterio.crs.CRS.from_wkt(text).to_string())
 
 
 def vertical_of(crs: rasterio.crs.CRS) -> str | None:

@@ -38,6 +38,21 @@ def test_a_height_raster_above_a_geoid_has_both_codes_and_the_same_grid(geoid: P
     assert raster_vertical(geoid) == "EPSG:5773"
 
 
+@pytest.mark.parametrize("name", ["", "+title=Site "])
+def test_a_crs_without_a_code_is_the_same_above_a_geoid(name: str, tmp_path: Path) -> None:
+    """GeoTIFF gives its part on the map the name of both: `compare` found the DSM and its validity on two grids."""
+    crs = f"+proj=tmerc +lat_0=30.3 +lon_0=-81 +ellps=WGS84 +units=m {name}"
+    local = Grid(crs, -63000.0, 5700.0, 1.0, 60, 60)
+    write_cog(tmp_path / "plain.tif", HEIGHTS, local)
+    write_cog(tmp_path / "geoid.tif", HEIGHTS, local, vertical="EPSG:5773")
+    _, plain = read_raster(tmp_path / "plain.tif")
+    _, above = read_raster(tmp_path / "geoid.tif")
+    assert above == plain
+    assert raster_vertical(tmp_path / "geoid.tif") == "EPSG:5773"
+    write_cog(tmp_path / "again.tif", HEIGHTS, above, vertical="EPSG:5773")
+    assert read_raster(tmp_path / "again.tif")[1] == plain
+
+
 def test_a_raster_without_a_vertical_part_stays_as_it_was(tmp_path: Path) -> None:
     write_cog(tmp_path / "a.tif", HEIGHTS, GRID)
     with rasterio.open(tmp_path / "a.tif") as data:
