@@ -27,6 +27,7 @@ from sattools.prior.visibility.alone import stands_alone
 from sattools.prior.visibility.chance import without_lumps
 from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled, standing, supported
 from sattools.prior.visibility.courtyards import RoughSurface, open_courtyards
+from sattools.prior.visibility.crowns import bare_crowns, with_crowns
 from sattools.prior.visibility.edges import snap_edges
 from sattools.prior.visibility.occlusion import (
     UNKNOWN,
@@ -116,13 +117,13 @@ def match(
     task = _prepared(frame, pairs, z_range, options)
     frame, step = task.frame, task.step
     visibility = all_visible(frame)
-    guide = ceiling = None
+    guide = ceiling = crowns = None
     if options.rough_passes:
         task, surface = _rough_passes(task, progress)
         frame = task.frame
         visibility = surface.visibility.doubled()
         guide = split_cells(surface.height)
-        ceiling = None if surface.ceiling is None else split_cells(surface.ceiling)
+        ceiling, crowns = (None if one is None else split_cells(one) for one in (surface.ceiling, surface.crowns))
     last = subprogress(progress, 0.4, 1.0)
     minima = RayMinima.unknown(frame)
     height, score, uniqueness = sweep_blocks(task, visibility, last, guide=guide, ceiling=ceiling, minima=minima)
@@ -144,7 +145,7 @@ def match(
         whole = pieces_of_roofs(height, lowered, stands, agreeing / np.maximum(views, 1), frame.cell)
         lowered[whole] = height[whole]
         lowered = close_pits(task, visibility, lowered)
-    height = lowered
+    height = lowered if crowns is None else with_crowns(lowered, crowns)
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
     doubt, blur, side = None, 1.0, None
     if task.options.edges and task.hills < 1:
@@ -269,6 +270,9 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
         sure = surface.score > SURE
         shares = pair_shares(frame, surface.visibility, surface.height, sure, task.pairs, rough.options)
         known = replace(known, shares=shares)
+        if rough.hills == 0:
+            crowns = bare_crowns(replace(rough, shares=shares), surface, open_to_all)
+            surface = replace(surface, crowns=crowns)
     return known, surface
 
 

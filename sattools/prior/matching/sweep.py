@@ -90,6 +90,7 @@ class MatchTask:
         robust: whether so many pairs decide that what one of them says by chance does not.
         hills: whether the ground rises and falls, 0 to 1.
         shares: per pair, how much it counts beside the others (0 to 1); empty = all alike.
+        by_most: what most pairs agree about counts, not what some of them agree about best.
     """
 
     frame: Frame
@@ -100,6 +101,7 @@ class MatchTask:
     robust: bool
     hills: float = 0.0
     shares: tuple[float, ...] = ()
+    by_most: bool = False
 
     @property
     def pair_shares(self) -> np.ndarray:
@@ -310,7 +312,7 @@ def pair_weights(task: MatchTask) -> tuple[int, np.float32, np.float32]:
     pair would: there it is one of what is surely seen.
     """
     weak, mixed = np.float32(task.options.weak), np.float32(task.options.mixed)
-    if task.robust:
+    if task.robust and not task.by_most:
         return 3, weak, mixed
     if len(task.pairs) < FEW_PAIRS or task.hills > 0:
         return 1, np.float32(0), np.float32(0)

@@ -65,6 +65,7 @@ class RoughSurface:
         visibility: of the eroded heights.
         ceiling: ``[H, W]`` heights above which nothing must be looked for again [m] (smoothness alone would put a
             bridged roof back), or None.
+        crowns: ``[H, W]`` heights of crowns that it lacks [m], NaN elsewhere, or None (see `bare_crowns`).
     """
 
     height: np.ndarray
@@ -72,6 +73,7 @@ class RoughSurface:
     eroded: np.ndarray
     visibility: Visibility
     ceiling: np.ndarray | None = None
+    crowns: np.ndarray | None = None
 
 
 def open_courtyards(task: MatchTask, surface: RoughSurface) -> RoughSurface:
