@@ -39,9 +39,7 @@ def bare_crowns(task: MatchTask, surface: RoughSurface, restless: np.ndarray | N
     frame, ground, tolerance = task.frame, surface.height, task.options.tolerance
     first_hit, shadow = surface.visibility.first_hit_height, surface.visibility.shadow_height
     # `high`: only heights near those of the surface around are looked at, as in the passes before
-    high, agreed, _ = sweep_blocks(
-        replace(task, by_most=True), surface.visibility, ceiling=surface.ceiling
-    )
+    high, agreed, _ = sweep_blocks(replace(task, by_most=True), surface.visibility, ceiling=surface.ceiling)
     high = median_filter(high, 3, mode="nearest")
     above = high - ground
     higher = (above > HIGHER_M[0]) & (above < HIGHER_M[1])
