@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sattools.camera.ground import metres_per_degree
+from sattools.camera.ground import ground_sample_distance, metres_per_degree, to_geographic
 from sattools.camera.planes import Array, Bounds, GroundPlanes, blurred
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError
@@ -16,6 +16,11 @@ from sattools.processors import side_by_side
 from sattools.progress import Progress, silent
 
 PATCH = {7: 50, 12: 35}  # cells, by views that show a place: smaller patches agree by chance; between them a line
+SMALL_PATCH = 10  # cells from which on a patch is looked at more closely, and how many of them are, at most
+MOST_LOOKS = 6
+CLOSER, FINER = 2.0, 0.8  # how many times as fine cells are then; no finer than pixels, and at least so much finer
+SEEN_CLOSER = 50  # of these have to agree: by chance up to 22, of roofs 110 and more
+AROUND = 6.0  # cells to all sides of it
 PAIR_PATCH = 110.0  # of two images: by chance up to 100 (66 pairs)
 PAIR_ROOFS_M = 20.0  # above what two images tell: neither tie points nor patches so large show most towers then
 COHERENT = 0.2  # share of the cells, below which three images agree about too little to show every tower:
@@ -71,7 +76,8 @@ def estimate_height_range(
 
     Tie points give the bulk. They seldom lie on the few highest roofs, so a coarse plane sweep (correlation of all
     views on the ground, height by height) over twice the range above, or as high as towers stand, and half below looks
-    for patches beyond it that agree about their height.
+    for patches beyond it that agree about their height. Small ones, which may be chance or the top of a stepped tower,
+    are looked at on finer cells.
 
     Args:
         heights: of tie points `[n]` [m].
@@ -88,6 +94,8 @@ def estimate_height_range(
     swept = sweep_patches(grays, rpcs, crs, bounds, planes, progress=progress)
     least = PAIR_PATCH if len(rpcs) == 2 else least_patch(swept.views)
     low, top = extend_range(low, high, planes, swept.patches, least)
+    if len(rpcs) > 2:  # two images agree by chance about patches of any size
+        top = small_roofs(top, swept, least, grays, rpcs, crs)
     margin = max(MARGIN * (top - low), LEAST_MARGIN_M)
     return low - margin, top + margin + unseen_roofs(len(rpcs), top - high, swept.coherent)
 
@@ -137,6 +145,45 @@ def extend_range(low: float, high: float, planes: Array, patches: NDArray[Any], 
     return min(low, float(supported.min())), max(high, float(supported.max()))
 
 
+def small_roofs(
+    top: float,
+    swept: Swept,
+    least: float,
+    grays: Sequence[NDArray[np.float32]],
+    rpcs: Sequence[RPC],
+    crs: str,
+) -> float:
+    """The highest plane on which images show a roof, of those whose patch alone tells nothing; else `top`.
+
+    On finer cells a roof has more of them, and what agrees by chance does no longer.
+
+    Args:
+        top: highest plane so far [m].
+        swept: what the images showed on every plane.
+        least: cells from which on a patch counts, see `extend_range`.
+        grays: grey images ``[H, W]``; NaN = no data.
+        rpcs: their cameras.
+        crs: projected ground CRS [m].
+    """
+    planes = swept.planes
+    small = np.flatnonzero((planes > top) & (swept.patches >= SMALL_PATCH) & (swept.patches < least))
+    largest = small[np.argsort(-swept.patches[small], kind="stable")][:MOST_LOOKS]
+    for k in sorted(largest, reverse=True):
+        x, y, half = swept.places[k]
+        lon, lat = (float(v[0]) for v in to_geographic(crs, np.array([x]), np.array([y])))
+        pixel = float(np.median([ground_sample_distance(rpc, lon, lat, float(planes[k])) for rpc in rpcs]))
+        cell = max(swept.cell / CLOSER, pixel)
+        if cell > FINER * swept.cell:
+            continue
+        half += AROUND * swept.cell
+        closer = sweep_patches(
+            grays, rpcs, crs, (x - half, y - half, x + half, y + half), planes, int((2 * half / cell) ** 2)
+        )
+        if closer.patches[max(0, k - 2) : k + 3].max() >= SEEN_CLOSER:
+            return float(planes[k])
+    return top
+
+
 class Swept(NamedTuple):
     """What a plane sweep has seen.
 
@@ -144,11 +191,17 @@ class Swept(NamedTuple):
         patches: ``[D]`` ground cells of the largest patch whose best correlation lies on each plane or beside it.
         views: that show a place there, the median of all places.
         coherent: share of the places about whose height images agree, as their neighbours do.
+        places: ``[D, 3]`` easting and northing of the middle of these patches, and half their width [m]; NaN = none.
+        cell: edge of a cell [m].
+        planes: ``[D]`` their heights [m].
     """
 
     patches: NDArray[np.int64]
     views: float
     coherent: float
+    places: Array
+    cell: float
+    planes: Array
 
 
 def sweep_patches(
@@ -214,7 +267,9 @@ def sweep_patches(
     seen = shown[winner >= 0]
     views_there = float(np.median(seen)) if seen.size else 0.0
     good = _agreeing(winner, best, len(planes), by_chance(shown))
-    return Swept(_largest_patches(winner, good, len(planes)), views_there, float(good.sum() / max(seen.size, 1)))
+    patches, inside = _largest_patches(winner, good, len(planes))
+    places = np.array([west, north, 0.0]) + cell * inside * [1, -1, 1]
+    return Swept(patches, views_there, float(good.sum() / max(seen.size, 1)), places, cell, planes)
 
 
 def by_chance(views: Array) -> Array:
@@ -243,20 +298,24 @@ def _agreeing(winner: NDArray[np.int32], score: Array, n: int, least: Array) -> 
     return np.asarray((agree >= 6) & (score > least) & (winner > 0) & (winner < n - 1))
 
 
-def _largest_patches(winner: NDArray[np.int32], good: NDArray[np.bool_], n: int) -> NDArray[np.int64]:
-    """Cells of the largest patch per plane, of those that are `good`.
+def _largest_patches(winner: NDArray[np.int32], good: NDArray[np.bool_], n: int) -> tuple[NDArray[np.int64], Array]:
+    """Cells of the largest patch per plane, of those that are `good`, and where it lies (column, row, half its width).
 
     It lies within one of its plane, and not mostly on one of the next: a roof would lie on three.
     """
     import cv2
 
-    patches = np.zeros(n, np.int64)
+    patches, places = np.zeros(n, np.int64), np.full((n, 3), np.nan)
     for k in range(n):
         near = good & (np.abs(winner - k) <= 1)
         _, label = cv2.connectedComponents(near.view(np.uint8), connectivity=4)
         cells, above = np.bincount(label[near]), np.bincount(label[near], winner[near] - k)
-        patches[k] = cells[2 * np.abs(above) <= cells].max(initial=0)
-    return patches
+        cells[2 * np.abs(above) > cells] = 0
+        patches[k] = cells.max(initial=0)
+        if patches[k]:
+            rows, cols = np.nonzero(label == int(np.argmax(cells)))
+            places[k] = cols.mean() + 0.5, rows.mean() + 0.5, (max(np.ptp(cols), np.ptp(rows)) + 1) / 2
+    return patches, places
 
 
 def _standard(gray: NDArray[np.float32], smooth: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -273,6 +332,7 @@ __all__ = [
     "extend_range",
     "in_company",
     "least_patch",
+    "small_roofs",
     "sweep_patches",
     "tie_point_range",
     "unseen_roofs",

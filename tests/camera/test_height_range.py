@@ -137,7 +137,7 @@ def test_the_sweep_peaks_at_the_height_of_a_plain() -> None:
     ground = texture()
     images = [render(ground, r, height=lambda e, n: 0 * e + 12.0) for r in RUNS]
     planes = ALT0 + np.arange(-20.0, 60.0, 2.0)
-    patches, views, coherent = sweep_patches(
+    patches, views, coherent, *_ = sweep_patches(
         images, [parallel_rpc(r) for r in RUNS], "EPSG:32633", BOUNDS, planes, 8000
     )
     assert views == len(RUNS)
@@ -159,7 +159,7 @@ def test_places_that_two_unrelated_views_alone_show_have_no_height() -> None:
     for image in images[2:]:
         image[:] = np.nan
     planes = ALT0 + np.arange(-20.0, 60.0, 2.0)
-    patches, views, coherent = sweep_patches(
+    patches, views, coherent, *_ = sweep_patches(
         images, [parallel_rpc(r) for r in RUNS], "EPSG:32633", BOUNDS, planes, 8000
     )
     assert views == 2
