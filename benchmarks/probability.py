@@ -76,7 +76,7 @@ def found(scene: Scene, cache: Path | None) -> tuple[Match, Grid]:
     match, grid, _ = matched(scene, PriorOptions())
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(path, **vars(match))
+        np.savez(path, **{name: part for name, part in vars(match).items() if part is not None})
     return match, grid
 
 

@@ -13,6 +13,7 @@ from sattools.camera.heights import (
     extend_range,
     in_company,
     least_patch,
+    small_roofs,
     sweep_patches,
     tie_point_range,
     unseen_roofs,
@@ -177,3 +178,45 @@ def test_a_tower_without_tie_points_is_inside_the_range(roof: float) -> None:
     low, high = estimate_height_range(bulk, images, cameras, "EPSG:32633", BOUNDS)
     assert low < ALT0 - 8.0
     assert ALT0 + roof < high < ALT0 + roof + 25.0
+
+
+@pytest.fixture(scope="module")
+def coarsely() -> Any:
+    """Images of a tower of 75 m, their cameras, and what they show on cells of 3 m, of which its roof has 64."""
+    ground = texture()
+    images, cameras = [with_tower(ground, r, 75.0) for r in RUNS], [parallel_rpc(r) for r in RUNS]
+    planes = ALT0 + np.arange(-20.0, 120.0, 2.5)
+    return images, cameras, sweep_patches(images, cameras, "EPSG:32633", BOUNDS, planes, 900)
+
+
+def test_a_roof_that_is_too_small_to_be_no_chance_is_looked_at_more_closely(coarsely: Any) -> None:
+    images, cameras, swept = coarsely
+    beyond = swept.planes > ALT0 + 20.0
+    assert 10 <= swept.patches[beyond].max() < 50
+    assert extend_range(ALT0 - 8, ALT0 + 8, swept.planes, np.where(beyond, swept.patches, 0), 50)[1] == ALT0 + 8
+    found = small_roofs(ALT0 + 20.0, swept, 50.0, images, cameras, "EPSG:32633")
+    assert found == pytest.approx(ALT0 + 75.0, abs=2.5)
+
+
+def test_what_agrees_by_chance_does_not_when_it_is_looked_at_more_closely(coarsely: Any) -> None:
+    """Thirty cells far above the hills, 20 m beside the tower."""
+    images, cameras, swept = coarsely
+    k = int(np.argmin(np.abs(swept.planes - ALT0 - 110.0)))
+    patches, places = np.zeros_like(swept.patches), swept.places.copy()
+    patches[k], places[k] = 30, (X - 30, Y - 30, 8.0)
+    swept = swept._replace(patches=patches, places=places)
+    assert small_roofs(ALT0 + 80.0, swept, 50.0, images, cameras, "EPSG:32633") == ALT0 + 80.0
+
+
+def test_cells_are_no_finer_than_pixels(coarsely: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between pixels is nothing that could agree: what is as coarse is not looked at again."""
+    images, cameras, swept = coarsely
+    monkeypatch.setattr("sattools.camera.heights.ground_sample_distance", lambda *_: 0.9 * swept.cell)
+    assert small_roofs(ALT0 + 20.0, swept, 50.0, images, cameras, "EPSG:32633") == ALT0 + 20.0
+
+
+def test_two_images_are_not_looked_at_more_closely(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sattools.camera.heights.small_roofs", lambda *_: pytest.fail("was asked"))
+    ground = texture()
+    images, cameras = [render(ground, r) for r in RUNS[:2]], [parallel_rpc(r) for r in RUNS[:2]]
+    estimate_height_range(ALT0 + np.linspace(-8, 8, 50), images, cameras, "EPSG:32633", BOUNDS)
