@@ -101,7 +101,8 @@ class SurfaceFiles:
         items = {item.id for item in scene.items}
         self._suns = [(name, sun) for name, sun in shadow_suns(model) if name in items]
         for name, _ in self._suns:
-            shadow = {"dtype": np.uint8, "nodata": 255, "descriptions": ["1 = cast shadow"]}
+            tags = {"METHOD": "cast by the DSM under the sun of the image", **_SOFTWARE}
+            shadow = {"dtype": np.uint8, "nodata": 255, "tags": tags, "descriptions": ["1 = cast shadow"]}
             about[view_href("shadow", name)] = shadow
         self._image_maps = {
             (kind, name): view_href(kind, name)
@@ -110,7 +111,7 @@ class SurfaceFiles:
             if name in items and known
         }
         for (kind, _), href in self._image_maps.items():
-            about[href] = {"units": "1", "descriptions": [IMAGE_MAPS[kind]]}
+            about[href] = {"units": "1", "tags": dict(_SOFTWARE), "descriptions": [IMAGE_MAPS[kind]]}
         self._files = {href: CogWriter(scene.output(href), grid, **options) for href, options in about.items()}
 
     def __enter__(self) -> SurfaceFiles:

@@ -277,7 +277,12 @@ def _from_xml(path: Path) -> Metadata:
 
 
 def _from_imd(path: Path) -> Metadata:
-    values = {m[1].upper(): m[2].strip().strip('"') for m in re.finditer(r"(\w+)\s*=\s*([^;\n]+)", read_text(path))}
+    """Of a product of several images (``IMAGE_1``, ``IMAGE_2`` ...) the first one's time, sun and satellite, as of XML.
+
+    A mean of suns would be that of none of them, and go with no time.
+    """
+    found = list(re.finditer(r"(\w+)\s*=\s*([^;\n]+)", read_text(path)))
+    values = {match[1].upper(): match[2].strip().strip('"') for match in reversed(found)}
     if not values:
         raise InputError(f"{path}: found no `name = value;` lines, expected DigitalGlobe image metadata (.IMD)")
 

@@ -43,7 +43,7 @@ def common_name(ids: Sequence[str]) -> str:
 
 
 def check_ids(images: Sequence[Path]) -> list[str]:
-    """Ids of all images; InputError when there are fewer than two images or two have the same id."""
+    """Ids of all images; InputError when there are fewer than two images or two have the same id, but for its case."""
     for path in images:
         _check_there(path)
     if len(images) < 2:
@@ -59,6 +59,13 @@ def check_ids(images: Sequence[Path]) -> list[str]:
         if paths[0].stem != paths[1].stem:
             expected = f"expected names that differ in their first {_LONGEST} letters a to z, digits, '.', '_' and '-'"
         raise InputError(f"{paths[1]}: found id {twice[0]!r}, which {paths[0]} has too, {expected}")
+    first: dict[str, int] = {}
+    for k, own in enumerate(ids):
+        if (j := first.setdefault(own.lower(), k)) != k:
+            raise InputError(
+                f"{images[k]}: found id {own!r}, which differs from {ids[j]!r} of {images[j]} by its case only, "
+                "expected names that differ on disks without case, too"
+            )
     return ids
 
 

@@ -20,6 +20,7 @@ from sattools.prep.area import bounds_from_file, bounds_from_numbers, exchanged_
 from sattools.prep.blank import check_contents
 from sattools.prep.camera_gate import check_corrections, check_height_unit, check_places_and_suns
 from sattools.prep.colours import add_colours, hrefs, load_colours
+from sattools.prep.earlier import left_by_earlier, remove_left
 from sattools.prep.folders import input_files
 from sattools.prep.gate import (
     check_cells,
@@ -54,6 +55,7 @@ from sattools.scene.dependencies import begin, may_begin
 from sattools.scene.grid import default_cell_size, finer_pixel
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import location
+from sattools.scene.runner import at_the_end
 from sattools.scene.schema import meant
 from sattools.views import GROUND_SHARE
 
@@ -73,13 +75,14 @@ def prepare(
         images: files to read.
         options: of the stage.
         progress: told the share done and what is being done.
-        overwrite: replace outputs that are there.
+        overwrite: replace outputs that are there; what `prep` has written of images that are no more goes, too.
 
     Returns: the scene, and notes and figures for its history.
     Raises: InputError (one line, naming the file) for images that cannot be used; OutputExistsError.
     """
     images, ids, scene = _named(images, options)
-    begin(scene, "prep", _outputs(ids, options), overwrite, _inputs(images, options))
+    begin(scene, "prep", _outputs(ids, options), overwrite, read := _inputs(images, options))
+    left = left_by_earlier(scene) if overwrite else []
     progress(0.0, "reading metadata")
     notes: list[str] = []
     sources, crs, asked = survey(images, ids, options, notes)
@@ -123,6 +126,7 @@ def prepare(
     write_reports(scene, result, pairs)
     if (area := wanted(scene.grid.bounds)) is not None:
         write_area(scene, area)
+    at_the_end(lambda: remove_left(left, scene, read))
     progress(1.0, "done")
     return scene, {
         "notes": notes,

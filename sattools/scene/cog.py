@@ -31,8 +31,13 @@ _COLOURS = {"red": ColorInterp.red, "green": ColorInterp.green, "blue": ColorInt
 
 
 def _colours_of(descriptions: Sequence[str]) -> list[ColorInterp] | None:
-    """What viewers show bands as, by the last words of their names; None where not all three colours are there once."""
+    """What viewers show bands as, by the last words of their names; None where not all three colours are there once.
+
+    Three bands of which only the numbers are known are taken for red, green and blue, as in pictures.
+    """
     words = [text.rpartition(" ")[2].lower() for text in descriptions]
+    if words == ["1", "2", "3"]:
+        return list(_COLOURS.values())
     if any(words.count(colour) != 1 for colour in _COLOURS):
         return None
     return [_COLOURS.get(word, ColorInterp.undefined) for word in words]

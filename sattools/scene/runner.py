@@ -118,7 +118,7 @@ def run_first(
     """
     start = _Clock.now()
     with _log_of(step) as log, contextlib.ExitStack() as alone:
-        with all_or_nothing(inputs, step.overwrite):
+        with _last_things(), all_or_nothing(inputs, step.overwrite):
             scene, extra = make(log.told(step.progress))
             entry = _note(scene, step, start, extra)
             alone.enter_context(locked(scene.root))

@@ -85,6 +85,9 @@ def test_shadow_masks_show_cast_shadow_opposite_the_sun(scene: Any) -> None:
     assert mask[0, 20, 10:19].tolist() == [0] * 9
     assert mask[0, 20, 31:].max() == 0
     assert "shadow" not in scene.items[1].assets
+    with rasterio.open(scene.path(scene.items[0].assets["shadow"].href)) as data:
+        assert data.tags()["SOFTWARE"] == "sattools"
+        assert data.tags()["METHOD"] == "cast by the DSM under the sun of the image"
 
 
 def test_the_priors_probability_comes_along_on_the_cells_of_the_surface(scene: Any) -> None:

@@ -49,6 +49,20 @@ def test_an_image_that_is_given_twice_is_told_so(tmp_path: Path, monkeypatch: py
         check_ids([tmp_path / "a.tif", Path("a.tif")])
 
 
+def test_ids_that_differ_by_case_only_are_refused(tmp_path: Path) -> None:
+    """On disks without case they would be one file."""
+    images = [tmp_path / "one/Harbour_1.tif", tmp_path / "two/harbour_1.TIF", tmp_path / "two/harbour_2.tif"]
+    for image in images:
+        image.parent.mkdir(exist_ok=True)
+        image.touch()
+    words = (
+        r"two/harbour_1\.TIF: found id 'harbour_1', which differs from 'Harbour_1' of .*one/Harbour_1\.tif by its case"
+    )
+    with pytest.raises(InputError, match=words):
+        check_ids(images)
+    assert check_ids(images[1:]) == ["harbour_1", "harbour_2"]
+
+
 def test_names_of_scenes() -> None:
     assert common_name(["JAX_068_001_RGB", "JAX_068_016_RGB"]) == "JAX_068"
     assert common_name(["a", "b"]) == "scene"

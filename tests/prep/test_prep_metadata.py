@@ -197,6 +197,16 @@ def test_digitalglobe_imd(tmp_path: Path) -> None:
     assert (found.sun, found.platform, found.time.second) == ((131.6, 69.2), "WorldView-3", 43)
 
 
+def test_an_imd_of_several_images_gives_the_first_ones_time_and_sun(tmp_path: Path) -> None:
+    (tmp_path / "a.IMD").write_text(
+        'BEGIN_GROUP = IMAGE_1\n\tsatId = "WV03";\n\tfirstLineTime = 2015-05-02T16:19:43.5Z;\n\tmeanSunAz = 131.6;\n'
+        '\tmeanSunEl = 69.2;\nEND_GROUP = IMAGE_1\nBEGIN_GROUP = IMAGE_2\n\tsatId = "WV02";\n'
+        "\tfirstLineTime = 2015-11-09T16:10:07.5Z;\n\tmeanSunAz = 165.0;\n\tmeanSunEl = 41.0;\nEND_GROUP = IMAGE_2\n"
+    )
+    found = read_sidecar(tmp_path / "a.IMD")
+    assert (found.sun, found.platform, found.time.month) == ((131.6, 69.2), "WorldView-3", 5)
+
+
 def test_dimap_takes_the_angles_of_the_centre(tmp_path: Path) -> None:
     def located(kind: Any, azimuth: Any) -> Any:
         return (

@@ -54,7 +54,9 @@ def test_bands_that_are_named_after_colours_are_shown_in_them(
 
     assert shown("w blue", "w green", "w red", "w nir") == ["blue", "green", "red", "undefined"]
     assert shown("w red", "w nir") == ["gray", "undefined"]
-    assert shown("w 1", "w 2", "w 3") == ["gray", "undefined", "undefined"]
+    assert shown("albedo 1", "albedo 2", "albedo 3") == ["red", "green", "blue"]  # as pictures have them
+    assert shown("albedo 1", "albedo 2", "albedo 3", "albedo 4") == ["gray", "undefined", "undefined", "undefined"]
+    assert shown("east", "north", "up") == ["gray", "undefined", "undefined"]
 
 
 def test_they_appear_together_with_what_is_held_back(tmp_path: Path) -> None:
