@@ -19,6 +19,7 @@ from sattools.prior.options import PriorOptions
 from sattools.prior.tiled import AT_ONCE
 from sattools.processors import takes, threads
 from sattools.scene import Grid, Scene
+from sattools.scene.grid import AROUND_TILE_M, SURROUNDINGS_M
 from sattools.scene.memory import available, to_spend
 from sattools.scene.tiles import widest_part
 
@@ -131,9 +132,10 @@ def _cut(grid: Grid, tile: float | None, overlap: float) -> tuple[int, float, fl
     """Number of tiles, cells of the largest, and of all together; one tile for None."""
     if not tile:
         return 1, float(grid.width * grid.height), float(grid.width * grid.height)
-    longest, margin = tile / grid.cell_size, overlap / grid.cell_size
+    # of a narrow overlap more is matched around a tile (`AROUND_TILE_M`), but for what any area has around it
+    longest, margin = tile / grid.cell_size, max(overlap, AROUND_TILE_M - SURROUNDINGS_M) / grid.cell_size
     along = [max(1, math.ceil(edge / longest)) for edge in grid.shape]
-    piece = math.prod(widest_part(edge, longest, margin) for edge in grid.shape)
+    piece = math.prod(min(widest_part(edge, longest, margin), edge) for edge in grid.shape)
     work = math.prod(edge + 2 * margin * (n - 1) for edge, n in zip(grid.shape, along, strict=True))
     return along[0] * along[1], piece, work
 
@@ -170,7 +172,7 @@ def _with_surroundings(scene: Scene) -> float:
         cameras = [RPC.from_file(scene.path(item.assets["rpc"].href)) for item in items]
     except (SattoolsError, KeyError):  # which the command will tell
         return 1.0
-    wide = with_surroundings(grid, cameras, shapes, matching_height(scene.require_height_range()))
+    wide = with_surroundings(grid, cameras, shapes, matching_height(scene.require_height_range()), scene.surroundings_m)
     return wide.width * wide.height / (grid.width * grid.height)
 
 

@@ -108,7 +108,11 @@ class FitOptions(RayOptions):
         "memory asks for [default: all at once, but as auto where memory is too small for that].",
         minimum=0,
     )
-    overlap: float = option(32.0, "With --tile: distance by which a tile reaches into its neighbours [m].", minimum=1)
+    overlap: float = option(
+        32.0,
+        "With --tile: reach into neighbouring tiles, of priors at least 48 [m].",
+        minimum=1,
+    )
     part: Literal["all", "coarse", "split", "mosaic"] = option(
         "all",
         "With --tile: split = fit the whole coarsely and leave one scene per tile in fit/tiles/*/scene.json, each for "

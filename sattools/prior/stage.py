@@ -83,7 +83,7 @@ def prior(
     part = subprogress(progress, 0.2, 0.9)
     images = open_images(scene, items)  # which looks at the scene's own grid
     shapes = [image.shape for image in images.parts]
-    wide = with_surroundings(fine, images.cameras, shapes, matching_height(z_range))
+    wide = with_surroundings(fine, images.cameras, shapes, matching_height(z_range), scene.surroundings_m)
     if wide != grid:
         sources = None  # the ones given were read for other cells
     if sources is None and fine.width * fine.height > AT_ONCE:

@@ -6,7 +6,7 @@ which tell what is hidden, how walls stand and how bright shadows are as if they
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -19,27 +19,38 @@ SHOWN = 0.5  # of the images that show a place of the area must show one beyond 
 ACROSS, ALONG = 4, 16  # places that are looked at in a strip, and per axis in the area
 
 
-def with_surroundings(grid: Grid, cameras: Sequence[RPC], shapes: Sequence[tuple[int, int]], height: float) -> Grid:
-    """A grid with `SURROUNDINGS_M` more on every side beyond which the images go on.
+def with_surroundings(
+    grid: Grid, cameras: Sequence[RPC], shapes: Sequence[tuple[int, int]], height: float, reach: float | None = None
+) -> Grid:
+    """A grid with more on every side beyond which the images go on.
 
     Args:
         grid: of the area.
         cameras: of the images.
         shapes: (rows, columns) of the images [px].
         height: at which they are laid over the ground [m].
+        reach: by how much more, at most, in steps of `SURROUNDINGS_M` [m]; None = one step.
     """
-    n = round(SURROUNDINGS_M / grid.cell_size)
+    wanted = round((reach or SURROUNDINGS_M) / grid.cell_size)
+    step = round(SURROUNDINGS_M / grid.cell_size)
     rows, cols = slice(0, grid.height), slice(0, grid.width)
     least = SHOWN * _shown(grid, cameras, shapes, height, (ALONG, ALONG))
-    north, south = slice(-n, 0), slice(grid.height, grid.height + n)
-    west, east = slice(-n, 0), slice(grid.width, grid.width + n)
 
-    def beyond(part_rows: slice, part_cols: slice, counts: tuple[int, int]) -> int:
-        shown = n > 0 and _shown(grid.part(part_rows, part_cols), cameras, shapes, height, counts) >= least
-        return n if shown else 0
+    def cells(strip: Callable[[int, int], tuple[slice, slice]], counts: tuple[int, int]) -> int:
+        """How far the images go on beyond a side, whose strip between two distances is given [cells]."""
+        far = 0
+        while step and far < wanted:
+            further = min(far + step, wanted)
+            if not _shown(grid.part(*strip(far, further)), cameras, shapes, height, counts) >= least:
+                break
+            far = further
+        return far
 
-    top, bottom = (beyond(side, cols, (ACROSS, ALONG)) for side in (north, south))
-    left, right = (beyond(rows, side, (ALONG, ACROSS)) for side in (west, east))
+    level, upright = (ACROSS, ALONG), (ALONG, ACROSS)
+    top = cells(lambda a, b: (slice(-b, -a), cols), level)
+    bottom = cells(lambda a, b: (slice(grid.height + a, grid.height + b), cols), level)
+    left = cells(lambda a, b: (rows, slice(-b, -a)), upright)
+    right = cells(lambda a, b: (rows, slice(grid.width + a, grid.width + b)), upright)
     return grid.part(slice(-top, grid.height + bottom), slice(-left, grid.width + right))
 
 

@@ -140,6 +140,7 @@ class Scene:
         products: name -> href of scene-wide outputs (dsm, albedo, ...).
         history: one entry a command: options, seconds, peak memory, versions, notes.
         origin: file that the document was read from, None for one from a pipe.
+        surroundings_m: of a tile, how far beyond its border it is matched [m]; None = as any area.
     """
 
     id: str
@@ -150,6 +151,7 @@ class Scene:
     products: dict[str, str] = field(default_factory=dict)
     history: list[dict[str, Any]] = field(default_factory=list)
     origin: Path | None = None
+    surroundings_m: float | None = None
 
     def __post_init__(self) -> None:
         check_id(self.id, "scene")
@@ -178,6 +180,8 @@ class Scene:
                 "history": self.history,
             },
         }
+        if self.surroundings_m is not None:
+            document["sattools"]["surroundings_m"] = self.surroundings_m
         if boxes:
             document["bbox"] = box_of_all(boxes)
         return document
@@ -226,6 +230,7 @@ class Scene:
                 height_range_m=(float(height_range[0]), float(height_range[1])) if height_range else None,
                 products=dict(ours.get("products") or {}),
                 history=list(ours.get("history") or []),
+                surroundings_m=ours.get("surroundings_m"),
             )
         except (InputError, SceneError) as error:
             raise SceneError(f"{source}: {error}") from None

@@ -16,6 +16,7 @@ from sattools.scene.jsonio import JsonObject
 GRACE = 1.12  # times as wide as a pixel that a cell may be
 FINE_ENOUGH_M = 0.5  # cells that nobody is given finer ones than for the sake of accuracy
 SURROUNDINGS_M = 16.0  # around an area, in which things hide and shade parts of it
+AROUND_TILE_M = 48.0  # the same around a tile without its overlap, whose neighbours the images show
 
 
 @dataclass(frozen=True)
@@ -192,4 +193,4 @@ def finer_pixel(sizes: Sequence[float]) -> float:
     return float(sorted(sizes)[min(max(3, math.ceil(len(sizes) / 4)), len(sizes)) - 1])
 
 
-__all__ = ["SURROUNDINGS_M", "Grid", "default_cell_size", "finer_pixel"]
+__all__ = ["AROUND_TILE_M", "SURROUNDINGS_M", "Grid", "default_cell_size", "finer_pixel"]

@@ -180,6 +180,7 @@ OURS = Table(
         "root": Text(),
         "grid": Maybe(GRID),
         "height_range_m": Maybe(Items(Number(*HEIGHT_LIMITS_M, unit="m"), 2, 2)),
+        "surroundings_m": Maybe(Number(0, 1e4, unit="m")),
         "products": Maybe(Table(other=_HREF)),
         "history": Maybe(Items(_ENTRY)),
     },

@@ -10,7 +10,7 @@ from fractions import Fraction
 import numpy as np
 
 from sattools.errors import SceneError
-from sattools.scene.grid import Grid
+from sattools.scene.grid import AROUND_TILE_M, SURROUNDINGS_M, Grid
 
 LEAST_STEPS = 16  # along a tile's edge
 RAMP = (0.25, 0.75)  # of the band that two tiles share: between these its weight moves from one to the other
@@ -90,6 +90,18 @@ def make_tiles(grid: Grid, tile_m: float | tuple[float, float], overlap_m: float
     ]
 
 
+def reach_beyond(overlap_m: float) -> float | None:
+    """How far beyond its border a tile is matched [m]; None = as any area, whose images may end there.
+
+    What hides and shades parts of a tile stands beyond a narrow overlap.
+
+    Args:
+        overlap_m: by which the tile reaches into its neighbours [m].
+    """
+    reach = AROUND_TILE_M - overlap_m
+    return reach if reach > SURROUNDINGS_M else None
+
+
 def widest_part(edge: float, longest: float, margin: float) -> float:
     """Length of the longest part, with what it shares, of an edge cut as `make_tiles` does it; all in one unit.
 
@@ -135,4 +147,4 @@ def _ramp(count: int, ratio: float, cells: int, before: int, after: int) -> np.n
     return weight
 
 
-__all__ = ["LEAST_STEPS", "Tile", "common_cell", "make_tiles", "widest_part"]
+__all__ = ["LEAST_STEPS", "Tile", "common_cell", "make_tiles", "reach_beyond", "widest_part"]

@@ -30,6 +30,7 @@ from sattools.prior.gate import grids
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_raster
+from sattools.scene.tiles import reach_beyond
 
 WHOLE = replace(TILED, tile=None)
 SHORT = replace(TILED, epochs=[2])
@@ -114,6 +115,13 @@ def test_tiles_fitted_one_by_one_anywhere_are_joined_to_the_same(
     scene = copied(finished_tiles, tmp_path / "PARTS")
     fit(scene, replace(TILED, part="mosaic"))
     assert_same(model(scene)[0], model(joined.scene)[0])
+
+
+def test_priors_of_tiles_know_what_stands_within_48_metres(begun_tiles: Scene) -> None:
+    """A narrow overlap had them know 16 m beyond it: what stands further away hides and shades parts of a tile."""
+    assert TILED.overlap == 4.0
+    assert {tile(begun_tiles, name).surroundings_m for name in ("r0c0", "r0c1", "r1c0", "r1c1")} == {44.0}
+    assert [reach_beyond(overlap) for overlap in (8.0, 31.0, 32.0, 64.0)] == [40.0, 17.0, None, None]
 
 
 def test_images_have_the_same_colours_and_poses_in_all_tiles(begun_tiles: Scene) -> None:

@@ -23,9 +23,9 @@ AREA = Grid(UTM33, X - 20, Y + 20, 0.5, 80, 80)  # 40 m
 WIDE, NARROW = (240, 260), (240, 90)  # 120 m x 130 m, and 45 m from west to east
 
 
-def around(sizes: list[tuple[int, int]], grid: Grid = AREA) -> list[float]:
+def around(sizes: list[tuple[int, int]], grid: Grid = AREA, reach: float | None = None) -> list[float]:
     """By how much an area is wider to the west, south, east and north [m], with images of these sizes about it."""
-    wide = with_surroundings(grid, [parallel_rpc(size=size) for size in sizes], sizes, ALT0)
+    wide = with_surroundings(grid, [parallel_rpc(size=size) for size in sizes], sizes, ALT0, reach)
     return [abs(a - b) for a, b in zip(wide.bounds, grid.bounds, strict=True)]
 
 
@@ -43,6 +43,14 @@ def test_an_image_that_shows_nothing_of_the_area_does_not_matter() -> None:
     elsewhere = parallel_rpc().cropped(5000, 0)
     wide = with_surroundings(AREA, [parallel_rpc(), parallel_rpc(), elsewhere], [WIDE] * 3, ALT0)
     assert wide == AREA.widened(32)
+
+
+def test_a_tile_is_matched_as_far_as_it_asks_for_where_the_images_go_on_so_far() -> None:
+    assert around([WIDE] * 3, reach=24.0) == [24.0, 24.0, 24.0, 24.0]
+    # images of 120 m from north to south and 130 m from west to east end 40 and 45 m beyond
+    assert around([WIDE] * 3, reach=64.0) == [48.0, 48.0, 48.0, 48.0]
+    assert around([NARROW] * 3, reach=24.0) == [0.0, 24.0, 0.0, 24.0]
+    assert around([(150, 260)] * 3, reach=40.0) == [40.0, 16.0, 40.0, 16.0]
 
 
 def test_cells_wider_than_that_have_no_surroundings() -> None:
@@ -77,6 +85,12 @@ def test_a_small_area_has_the_heights_that_it_has_in_a_larger_one(middle: Any, m
     with_them = differing(scene, expected)
     monkeypatch.setattr(priors, "with_surroundings", lambda grid, *_: grid)
     assert with_them < 0.5 * differing(scene, expected)
+
+
+def test_a_wide_reach_brings_a_small_area_nearer_to_the_larger_one(middle: Any) -> None:
+    scene, expected = middle
+    usual = differing(scene, expected)
+    assert differing(replace(scene, surroundings_m=40.0), expected) < 0.8 * usual
 
 
 def test_tiles_reach_into_the_surroundings_and_their_maps_do_not(middle: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,7 +39,7 @@ from sattools.scene.document import PARTS
 from sattools.scene.files import write_text
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import raster_grid
-from sattools.scene.tiles import Tile, common_cell, make_tiles
+from sattools.scene.tiles import Tile, common_cell, make_tiles, reach_beyond
 from sattools.views import BALANCE_PROPERTY, RadiometricBalance, Source, load_sources, views_on
 
 log = logging.getLogger(__name__)
@@ -276,6 +276,7 @@ class Plan:
 
     def _tile_scene(self, tile: Tile, name: str, unseen: dict[str, set[str]]) -> Scene:
         one = self._scene(name, tile.grid)
+        one.surroundings_m = reach_beyond(self.options.overlap)
         for item in one.items:
             if item.id in unseen[tile.name]:
                 item.properties["sattools:role"] = "test"
