@@ -15,6 +15,7 @@ from torch import Tensor
 from sattools.errors import SceneError
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.described import Description, Radiance
+from sattools.fit.losses import CALIBRATED_SHARE
 from sattools.fit.materials.normals import surface_normals
 from sattools.fit.materials.parameters import SHAPE
 from sattools.fit.materials.scene import ReflectiveScene
@@ -27,7 +28,6 @@ log = logging.getLogger(__name__)
 
 KINDS = ("reflectance_factor", "toa_reflectance", "relative")
 NARROW_PHASE_DEG = 10.0  # below this span a phase function is a constant
-CALIBRATED_SHARE = 0.1
 CALIBRATED_SMOOTH = 0.2
 PLAIN_PRIOR = 5.0  # factor of the prior's weight where one colour per cell has to explain calibrated images
 NORMAL_SMOOTHING_M = 6.0

@@ -10,6 +10,10 @@ GAMMA = 2.2
 # and raw-gamma's by (1e-3^(1/2.2 - 1) / 2.2)^2 = 387, also where an image's offset makes a prediction zero or negative.
 FLOOR = 1e-3
 LOG_EPSILON = 1e-6
+UNIT = 0.1  # of the losses: tone-mapped units from which a residual counts less, if nothing else is asked for
+CALIBRATED_SHARE = 0.1  # of that, for calibrated images
+RADIANCES = ("mse", "raw-log")  # losses whose residuals are not tone-mapped
+ENOUGH = 1_000_000  # numbers that tell a median
 
 
 def tone(x: Tensor) -> Tensor:
@@ -29,18 +33,25 @@ def raw_weight(name: str, predicted: Tensor) -> Tensor:
     return torch.ones_like(x)
 
 
-def robust_scale(name: str, robust: float, typical: float) -> float:
+def typical_radiance(numbers: Tensor) -> float:
+    """Median of the radiances of images, any shape, by a million of them; 1 where there are none."""
+    flat = numbers.flatten()
+    return float(flat[:: max(1, flat.numel() // ENOUGH)].median()) if flat.numel() else 1.0
+
+
+def robust_scale(name: str, robust: float, typical: float, *, unit: float = UNIT) -> float:
     """A residual of ``robust`` tone-mapped units at the radiance ``typical``, in the units of a loss's residual.
 
     So every loss weighs a pixel of typical brightness the same against the other terms of the fit; they differ in what
-    darker and brighter pixels count. ``robust`` = 0 (no residual counts less) keeps the unit of 0.1.
+    darker and brighter pixels count. ``robust`` = 0 (no residual counts less) keeps the usual unit.
 
     Args:
         name: of the loss.
         robust: residual in tone-mapped units.
         typical: median radiance of the images.
+        unit: usual residual in tone-mapped units.
     """
-    robust = robust or 0.1
+    robust = robust or unit
     x = max(typical, FLOOR)
     slope = x ** (1 / GAMMA - 1) / GAMMA  # tone-mapped units per radiance
     return {"mse": robust / slope, "raw-log": robust / slope / (x + LOG_EPSILON)}.get(name, robust)
@@ -72,4 +83,7 @@ def photometric(name: str, predicted: Tensor, target: Tensor, robust: float = 0.
     return squared
 
 
-__all__ = ["FLOOR", "GAMMA", "photometric", "raw_weight", "robust_scale", "tone"]
+__all__ = [
+    "CALIBRATED_SHARE", "FLOOR", "GAMMA", "RADIANCES", "UNIT", "photometric", "raw_weight", "robust_scale", "tone",
+    "typical_radiance",
+]  # fmt: skip

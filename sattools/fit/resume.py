@@ -43,6 +43,7 @@ class Interrupted:
         illumination: of a surface.
         light: why that was chosen; reasons: for which materials a model was, and sky_ratio: see `ReflectiveScene`.
         basis: what was known before an image was read, see `sattools.fit.inputs.basis_of`; older checkpoints have none.
+        seconds: spent so far [s]; 0 in older checkpoints.
     """
 
     tensors: Mapping[str, Tensor]
@@ -56,6 +57,7 @@ class Interrupted:
     reasons: list[str] = field(default_factory=list)
     sky_ratio: float = 0.0
     basis: JsonObject = field(default_factory=dict)
+    seconds: float = 0.0
 
     def save(self, path: Path) -> None:
         """Write a checkpoint.
@@ -169,11 +171,11 @@ def how_to_go_on(path: Path, since: float, steps: int) -> str | None:
 def _how_far(description: JsonObject, steps: int | None = None) -> str:
     """Where an interrupted fit is, in the words of its progress; older checkpoints may not say it."""
     try:
-        last = description["rows"][-1]
+        last = (description["rows"] or [{}])[-1]
         step = description.get("step")  # of a field
         of = f" of {steps}" if steps else ""
         where = f"step {step}{of}" if step else f"{last['cell_m']:g} m, epoch {last['epoch']}"
-        return f" after {duration(last['seconds'])} ({where})"
+        return f" after {duration(description.get('seconds') or last['seconds'])} ({where})"
     except (KeyError, IndexError, TypeError, ValueError):
         return ""
 

@@ -22,10 +22,15 @@ class Trace:
         """Time spent on the fit, earlier runs of a resumed one included."""
         return self.offset + time.perf_counter() - self.started
 
-    def go_on(self, rows: list[Row]) -> None:
-        """Continue after the rows of an interrupted run."""
+    def go_on(self, rows: list[Row], seconds: float = 0.0) -> None:
+        """Continue an interrupted run.
+
+        Args:
+            rows: of it; none where it was interrupted before the first.
+            seconds: spent on it [s]; where they are not known, those of its last row count.
+        """
         self.rows = rows
-        self.offset = float(rows[-1]["seconds"])
+        self.offset = max(seconds, float(rows[-1]["seconds"]) if rows else 0.0)
 
     def to_csv(self) -> str:
         """The rows as CSV text."""

@@ -8,14 +8,18 @@ import pytest
 import rasterio
 import torch
 
+from sattools.camera.view_direction import ViewDirection
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.fit.checkpoint import load
+from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
+from sattools.fit.surface.scene import start_scene
 from sattools.scene import Scene
 from sattools.scene.raster import read_raster
 from sattools.simulate import SimulateOptions, simulate
+from sattools.views import View
 
 FIT = FitOptions(brdf="hapke", resolution=4.0, epochs=[8])
 
@@ -64,6 +68,18 @@ def test_a_saturated_band_counts_as_unseen(tmp_path: Path) -> None:
 
     change_images(scene, saturate)
     check(scene)
+
+
+@pytest.mark.parametrize(("largest", "counted"), [(1.0, [1.0, 0.0, 1.0]), (1.6, [1.0, 1.0, 1.0])])
+def test_one_is_full_scale_only_in_images_that_end_there(largest: float, counted: list[float]) -> None:
+    """Reflectances at the top of the atmosphere are above 1 on bright slopes that face a low sun."""
+    picture = np.full((1, 3, 2), 0.3, np.float32)
+    picture[0, 1] = largest
+    view = View("0", picture, np.ones((1, 3), np.uint8), ViewDirection(0.0, 0.0), 0.0, (0.0, 0.8, 0.6), 0.0)
+    plain = start_scene(torch.zeros(1, 3), torch.full((1, 3, 2), 0.3), torch.ones(1, 2), torch.zeros(1, 2), 0.4, True)
+    maps = {"amplitude": torch.zeros(1, 3, 2), "abundances": torch.ones(1, 3, 1), "scale": torch.ones(1)}
+    scene = ReflectiveScene(**plain.tensors(), absolute=True, **maps)
+    assert scene.samples([view], [None]).weight[0].tolist() == counted
 
 
 @pytest.mark.slow

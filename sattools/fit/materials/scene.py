@@ -43,7 +43,8 @@ STANDARD_SUN_DEG = 15.0
 INDEPENDENT = 0.05
 LIT = 0.95  # sun visibility from which a cell tells of its reflectance
 SAMPLES = 4000
-SATURATED = 0.999  # a number at full scale is a lower limit, not a value
+SATURATED = 0.999  # a number at full scale is a lower limit, not a value,
+BEYOND = 1.001  # unless the image has larger ones: reflectances of bright slopes under a low sun are above 1
 TEXTURE = 0.05  # deviation of the log amplitude, beyond small texture, that one material has anyway
 
 
@@ -211,7 +212,8 @@ class ReflectiveScene(SurfaceScene):
             if self.opened.numel():
                 light = light - self.bounced(self.suns[j], v) * diffuse(self.kind, self.values()[0])
             seen.append(light)
-            lit = lit * (torch.from_numpy(picture).to(height).amax(-1) < SATURATED)
+            if float(view.target.max()) <= BEYOND:
+                lit = lit * (torch.from_numpy(picture).to(height).amax(-1) < SATURATED)
             weight.append(lit if v is None else lit * (v > LIT))
         count = height.numel()
         return Samples(

@@ -55,13 +55,9 @@ class RayJob:
 
     def run(self, options: FitOptions, progress: Progress) -> list[str]:
         """Train; notes."""
-        trace, trainer, start = self.trace, self.trainer, 0
-        trainer.plan(options.steps)
-        if options.resume and (saved := Interrupted.load(self.path, self.fingerprint)):
-            self.trainer.load(saved.tensors)
-            trace.go_on(saved.rows)
-            start = saved.step
-        notes, step_s = self._begin_within(options), 0.0
+        trace, trainer = self.trace, self.trainer
+        start = self._begin(options)
+        notes, step_s = self._begin_within(options, start), 0.0
         if options.budget and (start or trainer.at_rest) and self._is_over(options, self._foreseen_s):
             return [self._stopped(options, start, None if trace.rows else self._first_loss()), *notes]
         planned_at = start
@@ -72,7 +68,7 @@ class RayJob:
         told = saved_at = first
         watch = subprogress(progress, 0.0, 0.95)
         for number in range(start, options.steps):
-            if options.budget and number - planned_at in TRIALS and planned_at in (0, trainer.rest_from):
+            if options.budget and number - planned_at in TRIALS and planned_at in (start, trainer.rest_from):
                 self._plan_within(options, number, number - asked_at, asked_s)
                 asked_at, asked_s = number, trace.seconds()
             if number and self._is_to_ask(number, options, step_s):
@@ -103,12 +99,28 @@ class RayJob:
             if due and done < options.steps and not over:
                 saved_at = trace.seconds()
                 trainer.unsaid = torch.tensor([total, count], dtype=torch.float64, device="cpu")
-                Interrupted(trainer.state(), self.fingerprint, trace.rows, step=done, basis=self.basis or {}).save(
-                    self.path
-                )
+                self._save(done, saved_at)
             if over:
                 return [self._stopped(options, done, None), *notes]
         return notes
+
+    def _begin(self, options: FitOptions) -> int:
+        """Plan all steps, and take what an interrupted run has left, if this one goes on with it; its steps."""
+        self.trainer.plan(options.steps)
+        saved = Interrupted.load(self.path, self.fingerprint) if options.resume else None
+        if saved is None:
+            return 0
+        self.trainer.load(saved.tensors)
+        self.trace.go_on(saved.rows, saved.seconds)
+        if not options.budget:  # that of the interrupted run, if it had one, had planned fewer steps
+            self.trainer.plan(options.steps)
+        return saved.step
+
+    def _save(self, done: int, seconds: float) -> None:
+        """Leave a checkpoint after so many steps and seconds."""
+        state, basis = self.trainer.state(), self.basis or {}
+        rows = self.trace.rows
+        Interrupted(state, self.fingerprint, rows, step=done, basis=basis, seconds=seconds).save(self.path)
 
     def _stopped(self, options: FitOptions, done: int, loss: float | None) -> str:
         """That the training was stopped, with a last row of the trace if there is a loss to tell."""
@@ -116,12 +128,16 @@ class RayJob:
             self.trace.rows.append({"seconds": round(self.trace.seconds(), 3), "step": done, "loss": loss})
         return f"stopped by the budget of {options.budget:g} s at step {done} of {options.steps}"
 
-    def _begin_within(self, options: FitOptions) -> list[str]:
+    def _begin_within(self, options: FitOptions, start: int) -> list[str]:
         """Let a network be at rest from the start where a budget is too short to try heights of its own; notes.
 
         To ask for its heights, and to read them off, can take longer than the whole budget.
+
+        Args:
+            options: of the fit.
+            start: steps that an interrupted run has done, which has begun already.
         """
-        if not options.budget or not self._may_rest or self.trace.rows:
+        if not options.budget or not self._may_rest or start:
             return []
         needed = self.trace.seconds() + 2 * self._foreseen_s
         if needed + self._judging_s <= BUDGET_SHARE * options.budget and needed <= self._room(options):

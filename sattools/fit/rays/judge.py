@@ -64,7 +64,7 @@ def held_out_losses(trainer: RayTrainer, chosen: Tensor) -> Tensor:
     losses = []
     for part in chosen.split(AT_ONCE):
         colour = trainer.predict(part, ALL_IN, 1.0, None).colour
-        losses.append(photometric(options.loss, colour, target[part], options.robust).mean(dim=1))
+        losses.append(photometric(options.loss, colour, target[part], trainer.robust).mean(dim=1))
     return torch.cat(losses) if losses else target.new_zeros(0)
 
 

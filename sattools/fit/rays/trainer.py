@@ -15,7 +15,7 @@ from sattools.field.mlp import MlpField
 from sattools.field.protocol import Field
 from sattools.fit.adam import Adam
 from sattools.fit.described import Radiance
-from sattools.fit.losses import photometric
+from sattools.fit.losses import RADIANCES, photometric, robust_scale, typical_radiance
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.followed import ColumnSteps
 from sattools.fit.rays.heldout import held_out
@@ -76,6 +76,9 @@ class RayTrainer(RayScene):
         radiance: Radiance = "relative",
     ) -> None:
         super().__init__(field, rays, options, gain, offset, radiance=radiance)
+        self.robust = options.robust
+        if self.robust and options.loss in RADIANCES:
+            self.robust = robust_scale(options.loss, self.robust, typical_radiance(rays.target))
         self.judged = bool(field.start_density())  # whether some rays are held out
         self.asked = False  # whether it is known if its heights are better than those
         self.told = False  # whether that has been told since the training began or went on
@@ -199,9 +202,9 @@ class RayTrainer(RayScene):
         options, rays = self.options, self.rays
         if self.columns and random is not None:
             shown = self.columns.colours(chosen, random)
-            return photometric(options.loss, shown, rays.target[chosen], options.robust).mean(), self.field.penalty()
+            return photometric(options.loss, shown, rays.target[chosen], self.robust).mean(), self.field.penalty()
         seen = self.predict(chosen, epoch, share, random)
-        error = photometric(options.loss, seen.colour, rays.target[chosen], options.robust)
+        error = photometric(options.loss, seen.colour, rays.target[chosen], self.robust)
         if options.beta and "beta" in seen.mean and epoch >= BETA_EPOCH:
             loss = beta_loss(error, seen.mean["beta"] + BETA_MIN)
         else:

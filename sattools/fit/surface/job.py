@@ -332,8 +332,9 @@ class SurfaceJob:
             return
         where = (self.trace.rows, stage, epoch)
         state = Interrupted(
-            trainer.state(), self._print, *where, illumination=self.chosen, light=self.why_light, basis=self.basis
-        )
+            trainer.state(), self._print, *where, illumination=self.chosen, light=self.why_light, basis=self.basis,
+            seconds=self.trace.seconds(),
+        )  # fmt: skip
         if isinstance(trainer.scene, ReflectiveScene):
             state = replace(state, reasons=trainer.scene.reasons, sky_ratio=trainer.scene.sky_ratio)
         state.save(self.scene.output(CHECKPOINT))
@@ -341,7 +342,7 @@ class SurfaceJob:
     def _resume(self) -> Interrupted | None:
         saved = Interrupted.load(self.scene.output(CHECKPOINT), self._print)
         if saved:
-            self.trace.go_on(saved.rows)
+            self.trace.go_on(saved.rows, saved.seconds)
         return saved
 
 

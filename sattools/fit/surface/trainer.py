@@ -13,7 +13,7 @@ from torch.nn.functional import avg_pool2d, max_pool2d
 
 from sattools.fit.adam import Adam
 from sattools.fit.depth_prior import DepthPrior
-from sattools.fit.losses import photometric, robust_scale
+from sattools.fit.losses import CALIBRATED_SHARE, UNIT, photometric, robust_scale, typical_radiance
 from sattools.fit.options import FitOptions
 from sattools.fit.surface.light import IlluminationModel
 from sattools.fit.surface.pose import image_shift, remove_gauge
@@ -115,9 +115,11 @@ class StageTrainer:
         self.masks = [torch.from_numpy(v.mask).to(device) for v in views]
         self.illumination = illumination or IlluminationModel({})
         self.parameters = scene.trainable() | {f"illumination.{n}": t for n, t in self.illumination.tensors.items()}
-        seen = torch.cat([t[m > 0].flatten() for t, m in zip(self.targets, self.masks, strict=True)])
-        typical = float(seen[:: max(1, seen.numel() // 1_000_000)].median()) if seen.numel() else 1.0
-        self.scale = robust_scale(options.loss, options.robust, typical)
+        typical = typical_radiance(
+            torch.cat([t[m > 0].flatten() for t, m in zip(self.targets, self.masks, strict=True)])
+        )
+        unit = UNIT * (CALIBRATED_SHARE if scene.absolute else 1.0)  # as of `calibrated` options
+        self.scale = robust_scale(options.loss, options.robust, typical, unit=unit)
         for p in self.parameters.values():
             p.requires_grad_(True)
         groups = [{"params": [p], "name": n} for n, p in self.parameters.items()]
