@@ -13,6 +13,7 @@ from sattools.errors import SattoolsError, SceneError, counted
 from sattools.fit.combinations import step_bytes
 from sattools.fit.options import FitOptions
 from sattools.fit.presets import with_preset
+from sattools.fit.surface.passes import FEWEST_EPOCHS, cells_of, epochs_of
 from sattools.fit.tiles.state import begun
 from sattools.prior.gate import grids
 from sattools.prior.options import PriorOptions
@@ -41,7 +42,9 @@ START_S = 1.5
 WORTH_STARTS = 4.0  # CPU seconds of a process over those of its start, at least
 MATCH_CELL_S = 1.0e-5  # CPU seconds of the matching per cell
 MATCH_S = 7.9e-9  # and per cell, height plane and pair of images
-FIT_S = 7.5e-7  # CPU seconds per cell and image
+FIT_S = 7.5e-7  # CPU seconds per cell and image, with the passes that a fit has by default
+# of these, what is there once (the albedo's solution); what passes take with a reflectance model or learned shadows
+ONCE, HARDER = 0.5, 2.0
 # of a fit on cells of its own (`--resolution`), beyond those of twice the grid's cell that it has otherwise
 FITTED_CELLS = 0.25
 BYTES_PER_FITTED_CELL_AND_IMAGE = 110.0
@@ -143,10 +146,21 @@ def _cut(grid: Grid, tile: float | None, overlap: float) -> tuple[int, float, fl
 def _seconds_per_cell(scene: Scene, options: FitOptions, matched: float = 1.0) -> float:
     """CPU seconds per cell of the grid, where the matching of a prior has so many times as many."""
     images, cell = len(scene.train_items()), scene.require_grid().cell_size
-    seconds = (FIT_S + FITTED_S * _finer(cell, options)) * images
+    seconds = (FIT_S + FITTED_S * _finer(cell, options)) * _passes(scene, options) * images
     if options.prior_weight > 0 and "prior_dsm" not in scene.products:
         seconds += matched * _matching_s(scene)
     return seconds
+
+
+def _passes(scene: Scene, options: FitOptions) -> float:
+    """What a fit takes over what it takes with the passes over all views that uncalibrated images have by default."""
+    with_prior = options.prior_weight > 0
+    relative = all(item.properties.get("sattools:radiance", "relative") == "relative" for item in scene.train_items())
+    cells = cells_of(options, scene.require_grid().cell_size, with_prior)
+    epochs = epochs_of(options, len(cells), with_prior, relative)
+    work = sum(count * (cells[-1] / cell) ** 2 for cell, count in zip(cells, epochs, strict=True)) / FEWEST_EPOCHS
+    harder = options.brdf != "lambert" or options.shadow in ("learned", "auto")
+    return ONCE + (1 - ONCE) * work * (HARDER if harder else 1.0)
 
 
 def _matching_s(scene: Scene) -> float:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -264,3 +265,27 @@ def test_a_wide_network_takes_the_memory_of_its_step(town: Scene) -> None:
     """Eight layers of 512 numbers, four bytes each, for 256 rays of 24 samples: 101 MB."""
     narrow, wide = (foresee(town, resolve("satnerf", {"width": width})).memory for width in (8, 512))
     assert wide - narrow == 4 * 8 * (512 - 8) * 256 * 24
+
+
+@pytest.mark.parametrize(
+    ("given", "times"),
+    [
+        ({}, 1.0),
+        ({"epochs": [25]}, 3.0),
+        ({"transient": "on"}, 2.1),
+        ({"shadow": "learned"}, 3.7),
+        ({"brdf": "hapke"}, 2.1),
+        ({"prior_weight": 0.0}, 2.6),
+    ],
+)
+def test_more_passes_and_harder_ones_take_more(town: Scene, given: Any, times: float) -> None:
+    """256 m, eight images, beyond 2.5 CPU seconds for the imports, really: 2.9, 2.2, 4.3, 2.0 and 2.2 times as many."""
+    scene = of_size(town, 256)
+    scene.products["prior_dsm"] = "prior/dsm.tif"
+
+    def fitting_s(options: FitOptions) -> float:
+        found = foresee(scene, options).cpu_s
+        assert found is not None
+        return found - foresight.START_S
+
+    assert fitting_s(FitOptions(**given)) / fitting_s(FitOptions()) == pytest.approx(times, abs=0.05)

@@ -7,14 +7,11 @@ from dataclasses import replace
 
 from sattools.errors import SceneError
 from sattools.fit.options import FitOptions
+from sattools.fit.surface.passes import cells_of, epochs_of
 from sattools.fit.surface.trainer import StageSettings
 from sattools.prior.gate import grids
 from sattools.prior.options import PriorOptions
 from sattools.scene import Scene
-
-EPOCHS = 16
-FEW_EPOCHS, FEWEST_EPOCHS = 8, 5  # with a matched surface: in general, of uncalibrated images
-LEAST_COARSE_CELLS = 4  # of a stage along the area's shorter side
 
 
 def schedule(
@@ -43,18 +40,12 @@ def schedule(
     """
     if min(options.softness) <= 0:
         raise SceneError(f"--softness: found {options.softness}, expected positive numbers")
-    epochs = options.epochs or [_default_epochs(options, with_prior, relative)]
-    if min(epochs) < 1:
+    if options.epochs and min(options.epochs) < 1:
         raise SceneError(f"--epochs: found {options.epochs}, expected positive numbers")
-    finest = options.resolution or 2 * cell
-    coarsest = options.coarsest or (finest if with_prior else 4 * finest)
-    cells = [finest]
-    while cells[0] * 2 <= coarsest * (1 + 1e-9) and cells[0] * 2 * LEAST_COARSE_CELLS <= shortest_m:
-        cells.insert(0, cells[0] * 2)
+    cells = cells_of(options, cell, with_prior, shortest_m)
+    epochs = epochs_of(options, len(cells), with_prior, relative)
     first, last = options.softness
-    stages = [
-        StageSettings(c, epochs[min(k, len(epochs) - 1)], (first * c, last * c), z_range) for k, c in enumerate(cells)
-    ]
+    stages = [StageSettings(c, n, (first * c, last * c), z_range) for c, n in zip(cells, epochs, strict=True)]
     return stages if options.brdf in ("lambert", "auto") else [*stages[:-1], *_pretrained(stages[-1], options.pretrain)]
 
 
@@ -65,19 +56,6 @@ def own_cell(scene: Scene) -> float:
     """
     grid, fine = grids(scene, scene.train_items(), PriorOptions())
     return max(fine.cell_size, grid.cell_size / 2)
-
-
-def _default_epochs(options: FitOptions, with_prior: bool, relative: bool) -> int:
-    """Passes over all views of a stage: a matched surface needs fewer, unless light is to be learned, too.
-
-    From the fourth pass on the surface of JAX_068 or of a simulated city changes by less than a centimetre; heights and
-    parameters of reflectance models are as good after 8 passes as after 16. Lambertian fits of images on which nothing
-    is calibrated predict a view as well after 5; of calibrated ones by 0.1 to 0.6 dB worse, with the same heights.
-    """
-    learned = options.shadow in ("learned", "auto") or options.transient != "off"
-    if not with_prior or learned:
-        return EPOCHS
-    return FEWEST_EPOCHS if relative and options.brdf == "lambert" else FEW_EPOCHS
 
 
 def _pretrained(stage: StageSettings, share: float) -> list[StageSettings]:
