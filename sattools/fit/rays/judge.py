@@ -62,7 +62,7 @@ def held_out_losses(trainer: RayTrainer, chosen: Tensor) -> Tensor:
     """Photometric loss ``[R]`` of rays with numbers ``[R]``, each looked at where its surface is thought to be."""
     options, target = trainer.options, trainer.rays.target
     losses = []
-    for part in chosen.split(AT_ONCE):
+    for part in chosen.split(AT_ONCE) if len(chosen) else ():  # of none, one empty part would be asked for
         colour = trainer.predict(part, ALL_IN, 1.0, None).colour
         losses.append(photometric(options.loss, colour, target[part], trainer.robust).mean(dim=1))
     return torch.cat(losses) if losses else target.new_zeros(0)
