@@ -263,3 +263,13 @@ def test_a_place_on_plain_ground_is_lamberts_with_the_reflectance_of_its_w() -> 
     assert place_in(shaped, 0) == Place("hapke", 0.64, (0.3, 0.5, 20.0))
     rpv: dict[str, Any] = {"rho0": np.array([0.3]), "lambert_share": np.array([0.9])}
     assert place_in({**rpv, "k": [0.8], "asymmetry": [0.0], "rhoc": [1.0]}, 0) == Place("lambert", 0.3)
+
+
+def test_too_little_ground_to_compare_models_on_is_told() -> None:
+    """It was a change of -0.0 %, with a standard error of "inf %"."""
+    few = choose_model(mixed_ground([0.0]), torch.arange(CELLS) // 200, relative=False)  # nine blocks
+    assert few.model == "lambert"
+    assert few.notes == [
+        "brdf auto: too little ground is held out to tell rpv from lambert: kept lambert",
+        "brdf auto: too little ground is held out to tell hapke from lambert: kept lambert",
+    ]

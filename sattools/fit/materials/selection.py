@@ -171,6 +171,9 @@ def choose_model(s: Samples, block: Tensor, relative: bool) -> Choice:
         errors[kind] = held.errors(held.modelled(kind))
         gain, doubt = held.gain(errors[best], errors[kind], torch.ones_like(held.scored))
         better = gain > max(STANDARD_ERRORS * doubt, LEAST_GAIN)
+        if math.isinf(doubt):
+            notes.append(f"brdf auto: too little ground is held out to tell {kind} from {best}: kept {best}")
+            continue
         notes.append(
             f"brdf auto: {kind} changes the error of held-out views by {-100 * gain:+.1f} % "
             f"(standard error {100 * doubt:.1f} %) of {best}'s: " + (f"took {kind}" if better else f"kept {best}")
