@@ -128,6 +128,7 @@ def fitted(scenes: list[Cells]) -> dict[str, Any]:
     rng = np.random.default_rng(0)
     some = np.concatenate([one.features[rng.integers(0, len(one.error), 5000)] for one in scenes])
     mean, std = some.mean(axis=0), some.std(axis=0)
+    std[std == 0] = 1.0  # of the cell's size, where all are alike
     sizes = (len(NAMES), HIDDEN, HIDDEN, 1 + len(SHARES))
     linear = [torch.nn.Linear(a, b) for a, b in pairwise(sizes)]
     net = torch.nn.Sequential(linear[0], torch.nn.ReLU(), linear[1], torch.nn.ReLU(), linear[2])
