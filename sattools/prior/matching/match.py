@@ -30,13 +30,12 @@ from sattools.prior.visibility.courtyards import RoughSurface, open_courtyards
 from sattools.prior.visibility.crowns import bare_crowns, with_crowns
 from sattools.prior.visibility.edges import snap_edges
 from sattools.prior.visibility.occlusion import (
-    UNKNOWN,
     all_visible,
-    at_surface,
     compute_visibility,
     erode,
     measure_dark,
     mostly_shaded,
+    within_images,
 )
 from sattools.prior.visibility.pits import close_pits
 from sattools.prior.visibility.restless import restless
@@ -131,8 +130,7 @@ def match(
     hits, tolerance = visibility.first_hit_height, task.options.tolerance
     agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
     # beyond the images nothing is known that could be on the lower side of anything
-    everything_seen = np.broadcast_to(np.float32(UNKNOWN), frame.images.shape)
-    beyond_images = np.asarray(~at_surface(frame, everything_seen, height, tolerance)[1].any(axis=0))
+    beyond_images = np.asarray(~within_images(frame, height, tolerance).any(axis=0))
     shaded = mostly_shaded(frame, visibility, height, tolerance) if task.robust else None
     stands = supported(standing(agreeing, views, beyond_images), height, agreeing, frame.cell, shaded)
     many_in_town = len(pairs) >= ROBUST_PAIRS and task.hills == 0

@@ -16,7 +16,7 @@ from scipy.ndimage import binary_opening, binary_propagation, label, mean, media
 
 from sattools.prior.matching.sweep import MatchTask, sweep_blocks
 from sattools.prior.visibility.courtyards import RoughSurface
-from sattools.prior.visibility.occlusion import UNKNOWN, at_surface
+from sattools.prior.visibility.occlusion import at_surface, within_images
 
 HIGHER_M = (2.0, 30.0)  # above the surface that is found otherwise
 WIDTH_M = 2.0  # of a crown's core, at least
@@ -38,15 +38,14 @@ def bare_crowns(task: MatchTask, surface: RoughSurface, restless: np.ndarray | N
     """
     frame, ground, tolerance = task.frame, surface.height, task.options.tolerance
     first_hit, shadow = surface.visibility.first_hit_height, surface.visibility.shadow_height
-    # `high`: only heights near those of the surface around are looked at, as in the passes before
+    # at all heights, not near those of the surface around: a tree may stand alone on wide ground
     high, agreed, _ = sweep_blocks(replace(task, by_most=True), surface.visibility, ceiling=surface.ceiling)
     high = median_filter(high, 3, mode="nearest")
     above = high - ground
     higher = (above > HIGHER_M[0]) & (above < HIGHER_M[1])
     if restless is not None:
         higher &= ~restless
-    everything_seen = np.broadcast_to(np.float32(UNKNOWN), frame.images.shape)
-    shown = np.maximum(at_surface(frame, everything_seen, ground, tolerance)[1].sum(axis=0), 1)
+    shown = np.maximum(within_images(frame, ground, tolerance).sum(axis=0), 1)
     higher &= at_surface(frame, first_hit, ground, tolerance)[1].sum(axis=0) >= OPEN * shown
     size = max(round(WIDTH_M / frame.cell), 2)
     core = binary_opening(higher, np.ones((size, size)))

@@ -124,6 +124,18 @@ def at_surface(
     return value, seen
 
 
+def within_images(frame: Frame, surface: np.ndarray, tolerance: float) -> np.ndarray:
+    """Whether every view would see the surface if nothing hid it, ``[V, H, W]`` bool.
+
+    Args:
+        frame: the views.
+        surface: ``[H, W]`` heights [m].
+        tolerance: see `at_surface`.
+    """
+    everything_seen = np.broadcast_to(np.float32(UNKNOWN), frame.images.shape)
+    return at_surface(frame, everything_seen, surface, tolerance)[1]
+
+
 def mostly_shaded(frame: Frame, visibility: Visibility, surface: np.ndarray, tolerance: float) -> np.ndarray:
     """Whether most of the views that see the surface see it in shadow, ``[H, W]`` bool.
 
@@ -196,4 +208,5 @@ __all__ = [
     "erode",
     "measure_dark",
     "mostly_shaded",
+    "within_images",
 ]
