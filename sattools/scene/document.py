@@ -40,7 +40,7 @@ _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 def check_id(value: str, what: str) -> str:
     """Return ``value`` if it can serve as a file name, else raise SceneError."""
     if not isinstance(value, str) or not _ID.fullmatch(value):
-        raise SceneError(f"{what}: found id {value!r}, expected 1-128 letters, digits, '.', '_' or '-'")
+        raise SceneError(f"{what}: found id {value!r}, expected 1-128 letters of A-Z and a-z, digits, '.', '_' or '-'")
     return value
 
 

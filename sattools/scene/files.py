@@ -280,6 +280,15 @@ def _rename_all(pairs: _Waiting) -> None:
         else:
             os.replace(temporary, path)
             _temporary.discard(temporary)
+            _forget_statistics(path)
+
+
+def _forget_statistics(path: Path) -> None:
+    """Remove what GDAL has kept beside a raster that is another one now: its histogram would colour the new one."""
+    kept = path.with_name(f"{path.name}.aux.xml")
+    with suppress(OSError):
+        if not kept.is_symlink():
+            kept.unlink(missing_ok=True)
 
 
 def _discard(temporary: Path) -> None:
