@@ -9,7 +9,7 @@ import click
 from sattools.align.options import AlignOptions
 from sattools.cli import plans
 from sattools.cli.options import build, common_options, dataclass_options, scene_argument
-from sattools.cli.pipe import Run, run_scenes
+from sattools.cli.pipe import Run, run_scenes, tell
 from sattools.progress import Progress
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         from sattools.align.stage import align
 
         figures = align(scene, options, progress, overwrite)
-        click.echo(f"scene {scene.id}: {figures['notes'][0]}", err=True)
+        tell(f"scene {scene.id}: {figures['notes'][0]}")
         return figures
 
     def check(scene: Scene) -> None:

@@ -17,7 +17,7 @@ from sattools.cli.documents import documents, parse
 from sattools.cli.interrupts import checked
 from sattools.cli.kinds import NamedPath, PathText
 from sattools.cli.options import build, dataclass_options, read_toml, scene_argument
-from sattools.cli.pipe import report_error
+from sattools.cli.pipe import report_error, tell
 from sattools.cli.streams import portable
 from sattools.errors import SattoolsError, counted
 from sattools.processors import cores
@@ -95,11 +95,10 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
     except SattoolsError as error:
         report_error("batch", error)
         sys.exit(1)
-    if root.obj["progress"] != "none" or not root.params.get("quiet"):
-        click.echo(Path(options.out, "table.md").read_text(encoding="utf-8"), err=True, nl=False)
-        for name, made in done.joined.items():
-            if made is not None:
-                click.echo(f"{Path(options.out, 'joined', name)}: {_seams(made)}", err=True)
+    tell(Path(options.out, "table.md").read_text(encoding="utf-8").removesuffix("\n"))
+    for name, made in done.joined.items():
+        if made is not None:
+            tell(f"{Path(options.out, 'joined', name)}: {_seams(made)}")
     if done.errors:
         sys.exit(3 if done.results else 1)
 

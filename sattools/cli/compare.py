@@ -10,7 +10,7 @@ import click
 
 from sattools.cli import plans
 from sattools.cli.options import build, common_options, dataclass_options, print_config, scene_argument, typed
-from sattools.cli.pipe import Run, announce, apply, progress_of, report_error, run_scenes, waits
+from sattools.cli.pipe import Run, announce, apply, progress_of, report_error, run_scenes, tell, waits
 from sattools.compare.options import CompareOptions, without_effect
 from sattools.errors import OutputExistsError, SattoolsError
 from sattools.export.options import ExportOptions
@@ -49,7 +49,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         from sattools.compare.text import table
 
         figures = compare(options, scene, progress, overwrite)
-        click.echo(table(figures), err=True)
+        tell(table(figures))
         return {"errors": figures}
 
     def emit(scene: Scene, entry: JsonObject) -> str:
@@ -65,7 +65,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         if reason is None:
             return scene
         _check_with_export(options, deepcopy(scene), overwrite)
-        click.echo(f"sattools compare: scene {scene.id}: {reason}; exporting it first", err=True)
+        tell(f"sattools compare: scene {scene.id}: {reason}; exporting it first")
         run = Run("export", ExportOptions(), overwrite=overwrite)
         return apply(run, scene, lambda scene, progress: export(scene, ExportOptions(), progress, overwrite))[0]
 
@@ -173,7 +173,7 @@ def _compare_file(options: CompareOptions, overwrite: bool, dry_run: bool, show:
     except SattoolsError as error:
         report_error("compare", error)
         sys.exit(1)
-    click.echo(table(figures), err=True)
+    tell(table(figures))
     click.echo(to_json(figures))
 
 
@@ -202,5 +202,5 @@ def _compare_fits(options: CompareOptions, overwrite: bool, dry_run: bool, show:
         report_error("compare", error)
         sys.exit(1)
     tables = ((VIEW_COLUMNS, view_rows(result)), (MAP_COLUMNS, map_rows(result)))
-    click.echo("\n".join(markdown(*table) for table in tables if table[1]), err=True, nl=False)
+    tell("\n".join(markdown(*table) for table in tables if table[1]).removesuffix("\n"))
     click.echo(to_json(result))

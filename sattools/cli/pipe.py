@@ -155,6 +155,18 @@ def announce(command: str, label: str, plan: str) -> None:
         click.echo(f"sattools {command}: {label}: {plan}", err=True)
 
 
+def tell(text: str) -> None:
+    """Say a result to people, on stderr: a table, a shift. Not with -q, by which errors alone are said.
+
+    Args:
+        text: lines; the last one is ended here.
+    """
+    context = click.get_current_context(silent=True)
+    root = context.find_root() if context else None
+    if root is None or not root.params.get("quiet"):
+        click.echo(text, err=True)
+
+
 def is_watched() -> bool:
     """Whether people look on: progress is a bar, and messages of all kinds are not shown anyway."""
     context = click.get_current_context(silent=True)
@@ -290,5 +302,6 @@ __all__ = [
     "report_error",
     "run_scenes",
     "run_source",
+    "tell",
     "waits",
 ]

@@ -152,3 +152,17 @@ def test_a_misspelt_command_is_answered_with_the_right_one() -> None:
     result = run("fitt")
     assert result.exit_code == 2
     assert "No such command 'fitt' (did you mean 'fit'?)." in result.stderr
+
+
+@pytest.mark.parametrize(("more", "lines"), [([], 6), (["-q"], 0)])
+def test_a_table_for_people_is_not_for_who_asks_for_errors_only(tmp_path: Path, more: list[str], lines: int) -> None:
+    import numpy as np
+
+    from sattools.scene import Grid
+    from sattools.scene.raster import write_cog
+
+    path = tmp_path / "dsm.tif"
+    write_cog(path, np.arange(400, dtype=np.float32).reshape(1, 20, 20), Grid("EPSG:32617", 0, 0, 1.0, 20, 20))
+    result = run(*more, "compare", "--predicted", path, "--dsm", path, "--register", "none")
+    assert json.loads(result.stdout)["mae"] == 0.0
+    assert len(result.stderr.splitlines()) == lines
