@@ -66,6 +66,7 @@ KINDS = {
 KINDS.update(dict.fromkeys(("dsm", "classes", "predicted", "reference"), "raster"))
 KINDS.update({"aoi": "polygons", "polygons": "polygons", "mask": "several polygons", "points": "file", "to": "file"})
 PRODUCTS = ("laz", "ply", "contours", "dtm", "ortho", "mesh", "obj", "tiles")  # of `export --products`
+SWITCH = ("yes", "no")
 QUOTES = " Several with blanks between them, in double quotes what holds blanks itself."
 ABBREVIATIONS = {"Dsm": "DSM", "Aoi": "Area of interest", "Crs": "CRS", "Id": "Name of the scene", "Brdf": "BRDF"}
 ABBREVIATIONS.update({"Bounds": "Extent", "Out": "Folder for the scene", "To": "Reference"})
@@ -84,9 +85,11 @@ def title(flag: Any, group: Any = None) -> Any:
 
 
 def kind_of(option: Any, name: Any) -> Any:
-    """How a value is asked for: bool, int, float, choice, choices, list, text or one of `KINDS`."""
+    """How a value is asked for: bool, switch, int, float, choice, choices, list, text or one of `KINDS`."""
     if name == "products":
         return "choices"
+    if option["kind"] == "bool" and option["off"] and (option["default"] is None or option.get("by_preset")):
+        return "switch"  # on, off, or left to the command
     if option["choices"]:
         return "choice"
     if name in KINDS and option["kind"] in ("str", "float") and (option["values"] == 1 or name == "bounds"):
@@ -117,6 +120,11 @@ def fields(name: Any, command: Any) -> Any:
         if name == "compare" and own == "aoi":
             kind = "text"  # a name, not a file
         default = option["default"]
+        help_text = option["help"] + (QUOTES if kind == "list" and option["kind"] == "str" else "")
+        if option.get("by_preset"):
+            # a value that the form shows and does not pass on would not be the one of a preset that is chosen beside it
+            help_text += f" Left empty: {_shown(default)}, or what the preset says."
+            default = None
         if kind == "list":
             default = " ".join(str(v) for v in default or ())
         if own == "overwrite":
@@ -130,11 +138,11 @@ def fields(name: Any, command: Any) -> Any:
                 "multiple": option["multiple"],
                 "type": kind,
                 "label": title(option["name"], option.get("group") if own not in plain else None),
-                "help": option["help"] + (QUOTES if kind == "list" and option["kind"] == "str" else ""),
+                "help": help_text,
                 "default": default if default not in ([], ()) else None,
                 "minimum": option["minimum"],
                 "maximum": option["maximum"],
-                "choices": list(PRODUCTS) if kind == "choices" else option["choices"],
+                "choices": {"choices": list(PRODUCTS), "switch": list(SWITCH)}.get(kind, option["choices"]),
                 "optional": kind != "bool" and not (own == "out" and name in SOURCES),
                 "advanced": own not in plain,
             }
@@ -155,7 +163,10 @@ def arguments(fields: Any, values: Any) -> Any:
                 flag = field["flag"] if value else field["off"]
                 found += [flag] if flag else []
             continue
-        if value is None or value in ("", []) or value == field["default"]:
+        if value is None or value in ("", [], [""]) or value == field["default"]:
+            continue
+        if field["type"] == "switch":
+            found.append(field["flag"] if value == SWITCH[0] else field["off"])
             continue
         parts = value if isinstance(value, list) else parts_of(str(value)) if _several(field) else [value]
         if field["multiple"]:
@@ -175,6 +186,13 @@ def _several(field: Any) -> Any:
     return field["type"] in ("list", "extent")
 
 
+def _shown(value: Any) -> Any:
+    """A default as the help of a field says it."""
+    if isinstance(value, bool):
+        return SWITCH[0 if value else 1]
+    return f"{value:.6g}" if isinstance(value, float) else value
+
+
 def scene_of(output: Any) -> Any:
     """(document, path of the document's file) from the last line that a command printed."""
     lines = [line for line in output.splitlines() if line.strip()]
@@ -183,11 +201,24 @@ def scene_of(output: Any) -> Any:
 
 
 def read_scene(path: Any) -> Any:
-    """A scene document; its own folder is the root, wherever it has been moved to."""
+    """A scene document; its own folder is the root, wherever it has been moved to.
+
+    What a pipe has left in a file elsewhere names another folder. The `scene.json` there is read in its place: it has
+    what commands have added since.
+    """
     with open(path, encoding="utf-8") as file:
         scene = json.load(file)
-    scene["sattools"]["root"] = os.path.dirname(os.path.abspath(path))
+    folder, named = os.path.dirname(os.path.abspath(path)), os.path.join(scene["sattools"]["root"], "scene.json")
+    if not os.path.exists(os.path.join(folder, "scene.json")) and os.path.isabs(named) and os.path.exists(named):
+        return read_scene(named)
+    scene["sattools"]["root"] = folder
     return scene
+
+
+def document_of(scene: Any, path: Any) -> Any:
+    """Path of the `scene.json` in a scene's folder, or where there is none of the document that was read."""
+    own = os.path.join(scene["sattools"]["root"], "scene.json")
+    return own if os.path.exists(own) else path
 
 
 def products(scene: Any, names: Any) -> Any:

@@ -4,6 +4,7 @@
 import json
 import os
 import queue
+import re
 import shlex
 import shutil
 import signal
@@ -13,7 +14,9 @@ from contextlib import suppress
 from typing import Any
 
 # QGIS brings its own Python, Qt, GDAL and PROJ; a program with other versions of them must not inherit the paths
-FOREIGN = ("PYTHON", "QT_", "GDAL_", "PROJ_", "LD_")
+FOREIGN = ("PYTHON", "__PYVENV", "QT_", "GDAL_", "PROJ_", "LD_", "DYLD_")
+ERROR = re.compile(r"(sattools( [a-z]+)?: error|Error): ")
+LAST_OF_OURS = 3  # exit code; larger ones are a shell's or the system's
 PATIENCE_S = 10.0
 POLL_S = 0.1
 NEW_GROUP, NO_WINDOW = 0x00000200, 0x08000000  # of Windows; without the second a console opens above QGIS
@@ -29,7 +32,7 @@ INSTALL = (
 
 
 class CommandFailed(Exception):
-    """The command ended with an error; the text is its last line."""
+    """The command ended with an error; the text is its last line, or how it ended."""
 
 
 class Cancelled(Exception):
@@ -66,8 +69,13 @@ def usage_of(executable: Any) -> Any:
             [executable, "--json-usage"], check=True, capture_output=True, text=True, timeout=60,
             env=clean_environment(os.environ), **apart(),
         )  # fmt: skip
-        return json.loads(done.stdout)
-    except (OSError, subprocess.SubprocessError, ValueError) as error:
+        found = json.loads(done.stdout)
+        int(found["version"].split(".")[0]), found["commands"]
+        return found
+    except subprocess.CalledProcessError as error:
+        said = error.stderr.strip().splitlines() or [f"exit code {error.returncode}"]
+        raise CommandFailed(f"{executable}: gives no --json-usage ({said[-1]})") from error
+    except (OSError, subprocess.SubprocessError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise CommandFailed(f"{executable}: gives no --json-usage ({error})") from error
 
 
@@ -77,7 +85,7 @@ def run(arguments: Any, on_progress: Any, on_line: Any, is_cancelled: Any) -> An
     Args:
         arguments: the executable and its arguments, never through a shell.
         on_progress: called with the share done (0 ... 1) and a message.
-        on_line: called with every other line of stderr.
+        on_line: called with every other line of stderr, but for the error that CommandFailed carries.
         is_cancelled: asked several times a second.
 
     Returns:
@@ -98,7 +106,7 @@ def run(arguments: Any, on_progress: Any, on_line: Any, is_cancelled: Any) -> An
     ]
     for reader in readers:
         reader.start()
-    last = ""
+    last = held = ""
     try:
         while process.poll() is None or readers[1].is_alive() or not lines.empty():
             if is_cancelled():
@@ -111,16 +119,35 @@ def run(arguments: Any, on_progress: Any, on_line: Any, is_cancelled: Any) -> An
             if record is not None:
                 on_progress(record[0], record[1])
             elif line:
-                last = line
-                on_line(line)
+                if held:
+                    on_line(held)
+                last, held = line, line if ERROR.match(line) else ""
+                if not held:
+                    on_line(line)
     finally:
         _end(process)
         for reader, pipe in zip(readers, (process.stdout, process.stderr)):
             reader.join(PATIENCE_S)
             pipe.close()
     if process.returncode:
-        raise CommandFailed(last or f"sattools ended with exit code {process.returncode}")
+        raise CommandFailed(held or _why(process.returncode, last))
+    if held:
+        on_line(held)
     return "".join(output)
+
+
+def _why(code: Any, last: Any) -> Any:
+    """What to say of a program that ended without an error of its own; last: its last line."""
+    if code < 0 or code > LAST_OF_OURS:
+        # most often for want of memory, of which the program itself can say nothing
+        return f"sattools was ended from outside ({_ended(code)}); was there too little memory?"
+    return last or f"sattools ended with exit code {code}"
+
+
+def _ended(code: Any) -> Any:
+    if code < 0:  # POSIX
+        return f"signal {-code}"
+    return f"exit code 0x{code:08X}" if code >= 2**16 else f"exit code {code}"  # Windows: looked up in base 16
 
 
 def _progress(line: Any) -> Any:

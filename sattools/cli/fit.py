@@ -36,6 +36,11 @@ class FitCommand(GroupedCommand):
                     "depth_weight", "beta", "solar_weight"),
         "Resources": ("device", "tile", "overlap", "part", "budget", "resume", "seed"),
     }  # fmt: skip
+    # what `with_preset` may set, without importing it for every help
+    by_preset = frozenset(
+        ("field", "network", "loss", "robust", "pose", "samples", "guided", "rays", "steps", "rate", "prior_weight",
+         "depth_weight", "shadow", "shadow_weight", "transient", "beta", "solar_weight", "brdf", "normals", "pretrain")
+    )  # fmt: skip
     expert = frozenset(
         ("coarsest", "epochs", "softness", "smooth", "height_rate", "robust", "shadow_weight", "shadow_start",
          "brdf_at", "pretrain", "normals", "materials", "material_smooth", "bounce", "network", "width", "rays",

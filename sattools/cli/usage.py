@@ -19,7 +19,8 @@ def usage(group: click.Group) -> str:
 
     Every option has `name` (its flag), `off` (the flag that switches it off, or null), `kind` (bool, int, float or
     str), `choices`, `words` (what a number may be instead, such as auto), `minimum`, `maximum`, `default`, `multiple`,
-    `values` (how many values follow the flag), `help` and `group` (its title in the command's help, or null).
+    `values` (how many values follow the flag), `help`, `group` (its title in the command's help, or null) and
+    `by_preset` (whether a preset may say what it is where it is not given).
     """
     context = click.Context(group, info_name="sattools")
     commands: dict[str, Any] = {}
@@ -30,10 +31,13 @@ def usage(group: click.Group) -> str:
         options = [p for p in command.params if isinstance(p, click.Option) and p.name not in PLUMBING]
         named = getattr(command, "groups", {})
         groups = {option: title for title, names in named.items() for option in names}
+        by_preset: frozenset[str] = getattr(command, "by_preset", frozenset())
         commands[name] = {
             "help": command.help or "",
             "arguments": [{"name": p.name, "multiple": p.nargs == -1} for p in arguments],
-            "options": [_option(p, groups.get(str(p.name))) for p in options],
+            "options": [
+                {**_option(p, groups.get(str(p.name))), "by_preset": str(p.name) in by_preset} for p in options
+            ],
         }
     return json.dumps({"version": __version__, "commands": commands})
 

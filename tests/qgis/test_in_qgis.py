@@ -204,8 +204,16 @@ def test_an_extent_in_any_crs_and_a_layer_in_memory_become_what_prep_takes(envir
         "def line(given):\n"
         "    form = algorithm.form\n"
         "    return ' '.join(arguments(form, {f['key']: read(algorithm, f, given, context, feedback) for f in form}))\n"
-        "print('degrees:', line(given)); given['CRS'] = 'EPSG:32631'; print('metres:', line(given))\n",
+        "print('degrees:', line(given)); given['CRS'] = 'EPSG:32631'; print('metres:', line(given))\n"
+        "for wrong in ({'AOI': '/nowhere.gpkg'}, {'MASK': [layer.id(), '/nowhere.gpkg']}):\n"
+        "    try:\n"
+        "        print('ignored', line(wrong))\n"
+        "    except QgsProcessingException as error:\n"
+        "        print('refused', error)\n",
     )
+    assert [x.split(":")[0] for x in said.splitlines() if x.startswith(("ignored", "refused"))] == [
+        "refused AOI", "refused MASK",
+    ]  # fmt: skip
     degrees, metres = (next(x for x in said.splitlines() if x.startswith(n)).split() for n in ("degrees:", "metres:"))
     west, south, east, north = map(float, degrees[degrees.index("--bounds") + 1 :][:4])
     assert west == pytest.approx(3.0, abs=1e-6)  # the zone's middle

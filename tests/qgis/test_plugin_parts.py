@@ -61,9 +61,35 @@ def test_a_paragraph_of_help_is_one_line() -> None:
 
 def test_values_become_arguments() -> None:
     fields = forms.fields("fit", USAGE["commands"]["fit"])
-    values = {"SEED": 7, "POSE": False, "EPOCHS": "4 2", "LOSS": "raw-log", "OVERWRITE": False, "BUDGET": None}
+    values = {"SEED": 7, "POSE": "no", "EPOCHS": "4 2", "LOSS": "raw-log", "OVERWRITE": False, "BUDGET": None}
     given = " " + " ".join(forms.arguments(fields, values))
     assert sorted(given.split(" --")[1:]) == ["epochs 2", "epochs 4", "loss raw-log", "no-pose", "seed 7"]
+
+
+@pytest.mark.parametrize(("value", "given"), [("yes", ["--copy"]), ("no", ["--no-copy"]), (None, []), ("", [])])
+def test_what_may_be_left_to_the_command_is_neither_on_nor_off(value: Any, given: list[str]) -> None:
+    """A box without a tick was no `--no-copy`: pixels were copied all the same."""
+    (copy,) = [field for field in forms.fields("prep", USAGE["commands"]["prep"]) if field["key"] == "COPY"]
+    assert (copy["type"], copy["choices"], copy["default"]) == ("switch", ["yes", "no"], None)
+    assert forms.arguments([copy], {"COPY": value}) == given
+
+
+def test_a_value_that_is_chosen_beside_a_preset_reaches_the_command_even_if_it_is_the_usual_one() -> None:
+    fields = forms.fields("fit", USAGE["commands"]["fit"])
+    values = {"PRESET": "satnerf", "LOSS": "raw-gamma", "POSE": "yes", "ROBUST": 0.1}
+    given = " " + " ".join(forms.arguments(fields, values))
+    assert sorted(given.split(" --")[1:]) == ["loss raw-gamma", "pose", "preset satnerf", "robust 0.1"]
+    (loss,) = [field for field in fields if field["key"] == "LOSS"]
+    assert loss["default"] is None  # what a form shows is what comes
+    assert loss["help"].endswith("Left empty: raw-gamma, or what the preset says.")
+
+
+def test_all_that_a_preset_may_set_is_marked_so() -> None:
+    from sattools.fit import presets
+
+    names = set().union(*presets.PRESETS.values(), presets.WARM, presets.NEURAL)
+    marked = {o["name"].lstrip("-").replace("-", "_") for o in USAGE["commands"]["fit"]["options"] if o["by_preset"]}
+    assert marked == names
 
 
 @pytest.mark.parametrize("value", ["auto", "512"])
@@ -129,6 +155,19 @@ def test_a_scene_that_has_been_moved_is_read_from_where_it_lies(tmp_path: Path) 
     assert forms.products(scene, ["dsm"]) == {"dsm": str(tmp_path / "dsm.tif")}
 
 
+def test_of_what_a_pipe_has_left_elsewhere_the_scene_in_its_folder_is_read(tmp_path: Path) -> None:
+    """`... | sattools export > harbour.json`: results of `compare` stand in the folder's document only."""
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work/difference.tif").write_text("")
+    own = {"sattools": {"root": ".", "products": {"difference": "difference.tif"}}}
+    (tmp_path / "work/scene.json").write_text(json.dumps(own))
+    piped = {"sattools": {"root": str(tmp_path / "work"), "products": {}}}
+    (tmp_path / "harbour.json").write_text(json.dumps(piped))
+    scene = forms.read_scene(str(tmp_path / "harbour.json"))
+    assert forms.products(scene, ["difference"]) == {"difference": str(tmp_path / "work/difference.tif")}
+    assert forms.document_of(scene, "harbour.json") == str(tmp_path / "work/scene.json")
+
+
 @pytest.mark.parametrize(
     ("names", "expected"),
     [
@@ -169,6 +208,7 @@ def test_the_zip_for_qgis_holds_no_compiled_files(tmp_path: Path) -> None:
 def test_the_environment_of_qgis_stays_with_qgis() -> None:
     own = {"PATH": "/bin", "HOME": "/h", "LANG": "C"}
     foreign = {"PYTHONPATH": "x", "QT_PLUGIN_PATH": "x", "GDAL_DATA": "x", "PROJ_LIB": "x", "LD_LIBRARY_PATH": "x"}
+    foreign |= {"PYTHONHOME": "x", "DYLD_LIBRARY_PATH": "x", "__PYVENV_LAUNCHER__": "x"}  # of macOS, too
     assert runner.clean_environment(own | foreign) == own
 
 
@@ -199,8 +239,37 @@ def test_progress_lines_are_told_apart_from_messages(tmp_path: Path) -> None:
 
 def test_a_failure_carries_the_last_line(tmp_path: Path) -> None:
     path = script(tmp_path, 'import sys\nprint("first", file=sys.stderr)\nsys.exit("sattools fit: error: no images")\n')
+    said: list[str] = []
     with pytest.raises(runner.CommandFailed, match=r"^sattools fit: error: no images$"):
+        runner.run([path], lambda share, text: None, said.append, lambda: False)
+    assert said == ["first"]  # QGIS shows the error itself
+
+
+def test_an_error_that_was_not_the_last_word_is_told_in_its_place(tmp_path: Path) -> None:
+    path = script(tmp_path, 'import sys\nprint("sattools fit: error: a\\nb", file=sys.stderr)\n')
+    assert run(path) == ("", [], ["sattools fit: error: a", "b"])
+
+
+def test_a_command_that_the_system_has_ended_does_not_blame_the_warning_before(tmp_path: Path) -> None:
+    warned = "import os, sys\nprint('sattools: a warning', file=sys.stderr, flush=True)\n"
+    path = script(tmp_path, f"{warned}os.kill(os.getpid(), 9)")
+    with pytest.raises(runner.CommandFailed, match=r"ended from outside \(signal 9\); was there too little memory\?"):
         run(path)
+    assert runner._why(0xC0000005, "a warning").startswith("sattools was ended from outside (exit code 0xC0000005)")
+    assert runner._why(1, "MemoryError") == "MemoryError"
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("import sys\nsys.exit('Error: No such option: --json-usage')", "No such option: --json-usage"),
+        ("print('[]')", "gives no --json-usage"),
+        ('print(\'{"version": null, "commands": {}}\')', "gives no --json-usage"),
+    ],
+)
+def test_an_executable_of_another_kind_is_told_with_its_own_words(tmp_path: Path, text: str, found: str) -> None:
+    with pytest.raises(runner.CommandFailed, match=found):
+        runner.usage_of(script(tmp_path, text))
 
 
 def test_cancelling_ends_the_whole_process_group(tmp_path: Path) -> None:

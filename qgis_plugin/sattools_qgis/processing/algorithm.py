@@ -12,7 +12,7 @@ from qgis.core import (
     QgsProcessingParameterFile,
 )
 
-from ..forms import ALGORITHMS, SOURCES, arguments, fields, paragraphs, products, read_scene, scene_of
+from ..forms import ALGORITHMS, SOURCES, arguments, document_of, fields, paragraphs, products, read_scene, scene_of
 from .base import VECTORS, Base
 from .parameters import images_parameter, parameter_of, read
 
@@ -73,6 +73,7 @@ class CommandAlgorithm(Base):
                 figures = json.loads(output.splitlines()[-1])
                 results = {name.upper(): figures[name] for name in FIGURES}
                 scene = read_scene(scene_path)
+                scene_path = document_of(scene, scene_path)
             else:
                 scene, scene_path = scene_of(output)
         except (ValueError, KeyError, IndexError, OSError) as error:

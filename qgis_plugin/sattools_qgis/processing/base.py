@@ -47,8 +47,12 @@ class Base(QgsProcessingAlgorithm):
                 said.add(message)
                 feedback.pushInfo(message)
 
+        def on_line(line: Any) -> None:
+            tell = feedback.pushWarning if line.startswith("sattools: ") else feedback.pushInfo
+            tell(line)
+
         try:
-            return run(whole, on_progress, feedback.pushInfo, feedback.isCanceled)
+            return run(whole, on_progress, on_line, feedback.isCanceled)
         except Cancelled:
             raise QgsProcessingException("cancelled: every process has ended") from None
         except CommandFailed as error:

@@ -6,6 +6,7 @@ from typing import Any
 from qgis.core import (
     QgsCoordinateReferenceSystem,
     QgsProcessing,
+    QgsProcessingException,
     QgsProcessingParameterBoolean,
     QgsProcessingParameterCrs,
     QgsProcessingParameterDefinition,
@@ -42,7 +43,7 @@ def _parameter(field: Any) -> Any:
     key, label, default, kind = field["key"], field["label"], field["default"], field["type"]
     if kind == "bool":
         return QgsProcessingParameterBoolean(key, label, defaultValue=bool(default))
-    if kind in ("choice", "choices"):
+    if kind in ("choice", "choices", "switch"):
         return QgsProcessingParameterEnum(
             key, label, options=field["choices"], allowMultiple=kind == "choices", defaultValue=default, optional=True,
             usesStaticStrings=True,
@@ -79,6 +80,7 @@ def read(algorithm: Any, field: Any, parameters: Any, context: Any, feedback: An
         return None
     simple = {
         "choice": algorithm.parameterAsEnumString,
+        "switch": algorithm.parameterAsEnumString,
         "choices": algorithm.parameterAsEnumStrings,
         "int": algorithm.parameterAsInt,
         "float": algorithm.parameterAsDouble,
@@ -98,6 +100,8 @@ def read(algorithm: Any, field: Any, parameters: Any, context: Any, feedback: An
         return _file_of(algorithm.parameterAsVectorLayer(parameters, key, context), key, context, feedback)
     if kind == "several polygons":
         layers = algorithm.parameterAsLayerList(parameters, key, context)
+        given = parameters[key] if isinstance(parameters[key], (list, tuple)) else [parameters[key]]
+        layers += [None] * (len(given) - len(layers))  # QGIS leaves out what it cannot open
         return [_file_of(layer, key, context, feedback) for layer in layers]
     return algorithm.parameterAsString(parameters, key, context)
 
@@ -121,9 +125,12 @@ def name_of(crs: Any) -> Any:
 
 
 def _file_of(layer: Any, key: Any, context: Any, feedback: Any) -> Any:
-    """A file with the layer's features: its own, or a copy where it lies in memory, a database or beside others."""
+    """A file with the layer's features: its own, or a copy where it lies in memory, a database or beside others.
+
+    Raises QgsProcessingException where QGIS could not open it: without it another area would be worked on.
+    """
     if layer is None:
-        return None
+        raise QgsProcessingException(f"{key}: found no vector layer that can be opened, expected one of polygons")
     return QgsProcessingUtils.convertToCompatibleFormat(
         layer, False, f"sattools_{key.lower()}", FORMATS, "gpkg", context, feedback
     )
