@@ -57,3 +57,25 @@ def test_an_interrupted_network_that_has_used_its_budget_is_judged_and_read_off_
     for name, tensor in saved[0].tensors.items():
         if name.startswith("field.") and "sigma" not in name:  # whose heights are put back where they are no better
             assert torch.equal(model.extra[name], tensor), name
+
+
+def test_how_long_a_fit_takes_is_not_foretold_by_the_step_that_compiles(
+    make_matched_hamlet: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The first fit of an installation was said to take 21 minutes, and took 20 seconds."""
+    monkeypatch.setattr(rays_job, "TELL_EVERY_S", 0.0)
+    now, step = [0.0], rays_job.RayTrainer.step
+
+    def timed(self: Any, number: int) -> float:
+        now[0] += 1.0 if number else 1000.0
+        return step(self, number)
+
+    monkeypatch.setattr(rays_job.RayTrainer, "step", timed)
+    monkeypatch.setattr(rays_job.Trace, "seconds", lambda self: now[0])
+    told: list[str] = []
+    with caplog.at_level(logging.WARNING):
+        fit(make_matched_hamlet(), resolve("satnerf", TINY), lambda fraction, message: told.append(message))
+    steps = [text for text in told if text.startswith("step ")]
+    assert steps[0].startswith("step 1/40, loss ")
+    assert steps[1].startswith("step 2/40, about 38 s left, ")
+    assert "this fit takes about" not in caplog.text

@@ -62,8 +62,8 @@ class RayJob:
             return [self._stopped(options, start, None if trace.rows else self._first_loss()), *notes]
         planned_at = start
         every = max(1, min(options.steps // ROWS, 500))
-        first = planned_s = asked_s = trace.seconds()
-        asked_at = start
+        first = asked_s = timed_s = trace.seconds()
+        asked_at = timed_at = start
         total, count = float(trainer.unsaid[0]), int(trainer.unsaid[1])
         told = saved_at = first
         watch = subprogress(progress, 0.0, 0.95)
@@ -76,13 +76,14 @@ class RayJob:
                 self._forget()
                 if self._is_over(options, step_s):
                     return [self._stopped(options, number, total / count if count else None), *notes]
-                planned_at, planned_s = number, trace.seconds()
-                asked_at, asked_s = planned_at, planned_s
+                planned_at, asked_at, asked_s = number, number, trace.seconds()
             begun = trace.seconds()
             loss = trainer.step(number)
             total, count = total + loss, count + 1
             done, now = number + 1, trace.seconds()
             step_s = now - begun
+            if done == planned_at + 1:  # it compiles, and says nothing about the others
+                timed_at, timed_s = done, now
             over = done < options.steps and not self._may_rest and self._is_over(options, step_s)
             if done % every == 0 or done == options.steps or over:
                 row: Row = {"seconds": round(now, 3), "step": done, "loss": total / count}
@@ -90,9 +91,10 @@ class RayJob:
                 total, count = 0.0, 0
             if now - told >= TELL_EVERY_S or not count or over:
                 told = now
-                left = (now - planned_s) / (done - planned_at) * (trainer.steps - done)
+                left = (now - timed_s) / max(done - timed_at, 1) * (trainer.steps - done)
+                about = f"about {duration(left)} left, " if done > timed_at else ""
                 share = max(done / trainer.steps, now / (options.budget or math.inf))
-                watch(min(1.0, share), f"step {done}/{trainer.steps}, about {duration(left)} left, loss {loss:.5f}")
+                watch(min(1.0, share), f"step {done}/{trainer.steps}, {about}loss {loss:.5f}")
                 if done - start <= TRIAL < trainer.steps and left > LONG_S and not options.budget:
                     log.warning("this fit takes about %s; --budget SECONDS ends it in time", duration(left))
             due = done % (SAVE_EVERY * every) == 0 or trace.seconds() - saved_at >= SAVE_EVERY_S
