@@ -51,7 +51,7 @@ from sattools.prep.sweeps import height_range, mask_clouds
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Grid, Scene
 from sattools.scene.area import AREA, write_area
-from sattools.scene.dependencies import begin, may_begin
+from sattools.scene.dependencies import IMAGES, begin, image_digests, may_begin
 from sattools.scene.grid import default_cell_size, finer_pixel
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import location
@@ -130,6 +130,7 @@ def prepare(
     progress(1.0, "done")
     return scene, {
         "notes": notes,
+        IMAGES: image_digests(scene),
         "adjustment": {
             "model": result.model,
             "median_before_px": round(result.median_before_px, 3),

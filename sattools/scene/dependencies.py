@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,8 @@ from sattools.scene.files import check_outputs, digest
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import RemotePath
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,7 @@ ORDER = list(STAGES)
 Seen = Mapping[str, list[Any]]  # image -> digests of its files, and its properties
 MADE = "made"  # member of a history entry: stage -> record
 PRIOR_SECONDS = "prior_seconds"  # likewise, of `fit`: those of its seconds in which it made the prior itself
+IMAGES = "images"  # likewise, of `prep`: digests of the images whose cameras it has found
 ALBEDO_SECONDS = "albedo_seconds"  # and those in which it solved for the albedo of a surface whose heights stand
 # who began a history entry that makes all others out of date
 SOURCES = ("prep", "simulate")
@@ -148,12 +152,28 @@ def files_of(scene: Scene) -> list[Path]:
 def seen(scene: Scene, stage: str, items: Sequence[Item]) -> Seen:
     """What a stage is about to read of its images, for `record` at its end, hours later.
 
+    Warns of images that have been replaced since `prep`: cameras and tie points are those of others.
+
     Args:
         scene: the scene.
         stage: `normalise`, `prior` or `fit`.
         items: the images.
     """
-    return {item.id: _image(scene, item, stage) for item in items}
+    found = {item.id: _image(scene, item, stage) for item in items}
+    known = next((e.get(IMAGES) or {} for e in reversed(scene.history) if e.get("command") in SOURCES), {})
+    for item in items:
+        if _pixels(item, stage) == "image" and known.get(item.id) not in (None, found[item.id][1]):
+            log.warning(
+                "scene %s: item %s: %s is not the image any more that prep has found the camera of: run prep again",
+                *(scene.id, item.id, scene.path(item.assets["image"].href)),
+            )
+    return found
+
+
+def image_digests(scene: Scene) -> dict[str, str]:
+    """Digest of the image of every item, for `IMAGES` of the history entry; without those of other machines."""
+    found = {item.id: digest(scene.path(item.assets["image"].href)) for item in scene.items if "image" in item.assets}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def record(
@@ -338,7 +358,7 @@ def _image(scene: Scene, item: Item, stage: str) -> list[Any]:
 
 
 __all__ = [
-    "ALBEDO_SECONDS", "MADE", "PRIOR_SECONDS", "SOURCES", "STAGES", "Seen", "begin", "check_current",
-    "current_entry", "drop", "files_of", "in_force", "latest", "may_begin", "names_of", "outdated_by",
+    "ALBEDO_SECONDS", "IMAGES", "MADE", "PRIOR_SECONDS", "SOURCES", "STAGES", "Seen", "begin", "check_current",
+    "current_entry", "drop", "files_of", "image_digests", "in_force", "latest", "may_begin", "names_of", "outdated_by",
     "record", "seen", "stale",
 ]  # fmt: skip

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from click.testing import CliRunner
 
 from sattools.cli import main
@@ -249,3 +250,23 @@ def test_another_surface_in_place_of_a_priors_is_refused_with_the_way_to_use_it(
     assert (refused.exit_code, refused.stdout) == (1, "")
     assert "found another file for prior_dsm than the history knows" in refused.stderr
     assert "named as prior_dsm, with prior_confidence, in a document from before `prior`" in refused.stderr
+
+
+@pytest.mark.parametrize("copy", ["--copy", "--no-copy"])
+def test_an_image_replaced_between_prep_and_the_next_step_is_told(
+    make_town: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture, copy: str
+) -> None:
+    town = make_town()
+    images = sorted((town.root / "images").glob("*.tif"))
+    assert (
+        run("prep", *images, "--metadata", town.root / "metadata", copy, "--id", "P", "--out", tmp_path).exit_code == 0
+    )
+    document = tmp_path / "P/scene.json"
+    read = Scene.from_file(document)
+    assert run("normalise", document).exit_code == 0
+    assert "not the image any more" not in caplog.text
+    first = read.path(read.items[0].assets["image"].href)
+    with rasterio.open(first, "r+") as data:
+        data.write(np.ascontiguousarray(data.read()[:, ::-1]))
+    assert run("normalise", "--overwrite", document).exit_code == 0
+    assert f"{first} is not the image any more that prep has found the camera of" in caplog.text

@@ -8,14 +8,17 @@ import pytest
 from sattools.errors import OutputExistsError, OutputIsInputError, StaleError
 from sattools.scene import Asset, Grid, Item, Scene
 from sattools.scene.dependencies import (
+    IMAGES,
     MADE,
     begin,
     check_current,
     current_entry,
     drop,
+    image_digests,
     in_force,
     latest,
     record,
+    seen,
     stale,
 )  # fmt: skip
 from sattools.scene.document import FIT_ROLE
@@ -55,6 +58,32 @@ def scene(tmp_path: Path) -> Any:
     scene = Scene("S", tmp_path, items, Grid("EPSG:32617", 0, 0, 1.0, 4, 4), (0.0, 9.0))
     scene.history.append({"command": "prep"})
     return scene
+
+
+def test_an_image_that_was_replaced_after_prep_is_told_at_every_step_that_reads_it(
+    scene: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    scene.history[0][IMAGES] = image_digests(scene)
+    seen(scene, "prior", scene.items)
+    put(scene, "a_RPC.TXT", "as `align` has moved it")
+    seen(scene, "prior", scene.items)
+    assert caplog.text == ""
+    put(scene, "a.tif", "pixels of another")
+    for step in ("normalise", "prior", "fit"):
+        caplog.clear()
+        seen(scene, step, scene.items)
+        (record_,) = caplog.records
+        assert "item a: " in record_.message
+        assert "a.tif is not the image any more that prep has found the camera of" in record_.message
+
+
+@pytest.mark.parametrize("history", [[{"command": "simulate"}], [{"command": "prep"}], []])
+def test_images_of_which_nothing_was_noted_are_taken_as_they_are(
+    scene: Any, history: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    scene.history = history
+    seen(scene, "fit", scene.items)
+    assert caplog.text == ""
 
 
 @pytest.mark.parametrize("name", ["b.tif", "b_RPC.TXT"])
