@@ -30,7 +30,7 @@ from sattools.scene.schema import Anything, Items, Table, Text
 
 log = logging.getLogger(__name__)
 _RECORD = Table({"key": Text(), "status": Text(), "scene_json": Text(), "row": Table()}, ("key", "scene_json"))
-_DIGESTS = Table(other=Items(Anything(), 3, 3))
+_DIGESTS = Table(other=Items(Anything(), 4, 4))
 TILES = "fit/tiles"  # below the folder of a run; see `sattools.fit.tiles.stage`
 
 
@@ -107,7 +107,11 @@ def _complete(document: Path) -> bool:
 
 
 class Digests:
-    """SHA-256 of files, remembered in a file as long as size and time of change stay what they were."""
+    """SHA-256 of files, remembered in a file as long as their sizes and times stay what they were.
+
+    Among the times is that of the last change of whatever, as `cp -p`, `rsync -t` and `tar` give other pixels the size
+    and the time of those before.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -118,16 +122,16 @@ class Digests:
             self.known = {}
 
     def __call__(self, path: Path, what: str = "a file of the scene") -> str:
-        """SHA-256 of a file, read again only where its size or time has changed; what it is, for messages."""
+        """SHA-256 of a file, read again only where its size or a time has changed; what it is, for messages."""
         try:
             state = path.stat()
-            name, stamp = str(path.resolve()), [state.st_size, state.st_mtime_ns]
-            if self.known.get(name, [None])[:2] != stamp:
+            name, stamp = str(path.resolve()), [state.st_size, state.st_mtime_ns, state.st_ctime_ns]
+            if self.known.get(name, [None])[:3] != stamp:
                 with open(path, "rb") as file:
                     self.known[name] = [*stamp, hashlib.file_digest(file, "sha256").hexdigest()]
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror}), expected {what}") from error
-        return str(self.known[name][2])
+        return str(self.known[name][-1])
 
     def save(self) -> None:
         """Write what is known."""

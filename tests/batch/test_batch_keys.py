@@ -1,5 +1,6 @@
 """By what a batch knows a finished result again: what went into it, wherever that lies."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ from planned import DEFAULT, contest, keys
 
 from sattools.batch.configuration import Configuration
 from sattools.batch.options import BatchOptions
+from sattools.batch.plan import Digests
 from sattools.batch.queue import make_plan
 
 
@@ -21,6 +23,21 @@ def test_a_key_follows_content_and_options_but_not_times_or_places(tmp_path: Pat
     with open(image, "ab") as file:
         file.write(b"\0")
     assert keys(tmp_path, town) != [first]
+
+
+def test_other_content_of_the_size_and_the_time_of_before_is_other_content(tmp_path: Path) -> None:
+    """As `cp -p`, `rsync -t` and `tar` leave it."""
+    image = tmp_path / "image.tif"
+    image.write_text("one")
+    known = Digests(tmp_path / "digests.json")
+    first, before = known(image), image.stat()
+    known.save()
+    assert Digests(tmp_path / "digests.json")(image) == first
+    while image.stat().st_ctime_ns == before.st_ctime_ns:  # the system's clock has ticks
+        image.write_text("two")
+        os.utime(image, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert (image.stat().st_size, image.stat().st_mtime_ns) == (before.st_size, before.st_mtime_ns)
+    assert Digests(tmp_path / "digests.json")(image) != first
 
 
 def test_a_result_is_of_the_metadata_that_normalise_is_given(tmp_path: Path, make_town: Any) -> None:
