@@ -7,6 +7,7 @@ home, where numba would refuse to be used at all.
 from __future__ import annotations
 
 import functools
+import hashlib
 import logging
 import os
 import stat
@@ -160,14 +161,20 @@ def _look_into(kernel: Dispatcher, found: dict[Dispatcher, list[str]]) -> None:
     options = {name: sorted(value) if isinstance(value, set) else value for name, value in kernel.targetoptions.items()}
     lines = found[kernel] = [f"{function.__name__} {sorted(options.items())}"]
     with suppress(OSError):
-        status = os.stat(function.__code__.co_filename)
-        lines.append(f"{status.st_mtime_ns} {status.st_size}")
+        lines.append(_content(function.__code__.co_filename))
     for name in sorted(set(_names(function.__code__))):
         value = function.__globals__.get(name)
         if isinstance(value, Dispatcher) and value not in found:
             _look_into(value, found)
         elif isinstance(value, (bool, int, float, complex, str, tuple, np.generic)):
             lines.append(f"{name} {value!r}")
+
+
+@functools.cache
+def _content(path: str) -> str:
+    """SHA-256 of a file. Reproducible packages and images give all files one time, and a constant changes no size."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _names(code: CodeType) -> Iterator[str]:
