@@ -47,10 +47,13 @@ def opened(path: Path | str, what: str = "an image", *, alone: bool = False) -> 
     Raises: InputError, one line: missing, not a file, not `what` that one of `DRIVERS` reads, without bands.
     """
     path = location(path)
+    # rasterio takes what stands before a colon for a scheme, as in the name of a folder `file:2`
+    local = ":" in str(path) and not (isinstance(path, RemotePath) or path.is_absolute() or path.drive)
+    name = f"./{path}" if local else str(path)
     settings = (_PATIENCE if needs_network(path) else _NO_NETWORK) | (_ALONE if alone else {})
     with not_georeferenced, rasterio.Env(**settings):
         try:
-            data = DatasetReader(str(path), driver=list(DRIVERS))  # `rasterio.open` takes one driver only
+            data = DatasetReader(name, driver=list(DRIVERS))  # `rasterio.open` takes one driver only
         except (RasterioError, OSError, ValueError, UnicodeError) as error:
             raise InputError(_why_not(path, error, what)) from None
         with data:

@@ -315,3 +315,16 @@ def test_images_in_their_own_geometry_are_opened_without_a_warning(tmp_path: Pat
             assert data.read().sum() == 32
     with pytest.warns(rasterio.errors.NotGeoreferencedWarning), rasterio.open(path):
         pass  # which rasterio says otherwise
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="names have no colons there")
+@pytest.mark.parametrize("name", ["file:2/image.tif", "zip:image.tif", "2024-05-01T10:20:30.tif"])
+def test_a_colon_in_the_name_of_a_file_makes_no_address_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    with rasterio.open(path, "w", driver="GTiff", width=8, height=4, count=1, dtype="uint8") as data:
+        data.write(np.ones((1, 4, 8), np.uint8))
+    monkeypatch.chdir(tmp_path)
+    assert read_image(location(name)).sum() == 32
