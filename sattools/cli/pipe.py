@@ -155,22 +155,26 @@ def announce(command: str, label: str, plan: str) -> None:
         click.echo(f"sattools {command}: {label}: {plan}", err=True)
 
 
+def _root() -> click.Context | None:
+    """Of the command line; None where Python calls."""
+    context = click.get_current_context(silent=True)
+    return context.find_root() if context else None
+
+
 def tell(text: str) -> None:
     """Say a result to people, on stderr: a table, a shift. Not with -q, by which errors alone are said.
 
     Args:
         text: lines; the last one is ended here.
     """
-    context = click.get_current_context(silent=True)
-    root = context.find_root() if context else None
+    root = _root()
     if root is None or not root.params.get("quiet"):
         click.echo(text, err=True)
 
 
 def is_watched() -> bool:
     """Whether people look on: progress is a bar, and messages of all kinds are not shown anyway."""
-    context = click.get_current_context(silent=True)
-    root = context.find_root() if context else None
+    root = _root()
     if root is None or root.params.get("verbose"):
         return False
     mode = (root.obj or {}).get("progress")
@@ -266,8 +270,8 @@ def _step(run: Run, label: str) -> Step:
 
 def progress_of(command: str, label: str) -> Progress:
     """Progress as `--progress` asks for it, that notices interrupts."""
-    context = click.get_current_context(silent=True)
-    mode = (context.find_root().obj or {}).get("progress", "none") if context else "none"
+    root = _root()
+    mode = (root.obj or {}).get("progress", "none") if root else "none"
     return interrupts.checked(make_progress(mode, f"{command} {label}"))
 
 

@@ -62,10 +62,9 @@ class RayJob:
             return [self._stopped(options, start, None if trace.rows else self._first_loss()), *notes]
         planned_at = start
         every = max(1, min(options.steps // ROWS, 500))
-        first = asked_s = timed_s = trace.seconds()
+        told = saved_at = asked_s = timed_s = trace.seconds()
         asked_at = timed_at = start
         total, count = float(trainer.unsaid[0]), int(trainer.unsaid[1])
-        told = saved_at = first
         watch = subprogress(progress, 0.0, 0.95)
         for number in range(start, options.steps):
             if options.budget and number - planned_at in TRIALS and planned_at in (start, trainer.rest_from):
