@@ -80,12 +80,17 @@ class OptionSpec:
     path: str | None = None
 
 
-def specs(cls: type) -> list[OptionSpec]:
-    """The options of a dataclass, in order; fields without help are not options."""
+def specs(cls: type, *, every: bool = False) -> list[OptionSpec]:
+    """The options of a dataclass, in order.
+
+    Args:
+        cls: the dataclass.
+        every: also fields without help, which the command line has in a way of its own.
+    """
     hints = typing.get_type_hints(cls)
     options = []
     for item in dataclasses.fields(cls):
-        if "help" not in item.metadata:
+        if "help" not in item.metadata and not every:
             continue
         hint = hints[item.name]
         kind, choices, optional, multiple = _resolve(hint)
@@ -98,13 +103,13 @@ def specs(cls: type) -> list[OptionSpec]:
                 optional,
                 multiple,
                 default,
-                item.metadata["help"],
-                item.metadata["minimum"],
-                item.metadata["maximum"],
+                item.metadata.get("help", ""),
+                item.metadata.get("minimum"),
+                item.metadata.get("maximum"),
                 _count(hint),
-                item.metadata["renamed"],
+                item.metadata.get("renamed", {}),
                 _words(hint, kind),
-                item.metadata["path"],
+                item.metadata.get("path"),
             )
         )
     return options

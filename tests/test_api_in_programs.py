@@ -1,6 +1,7 @@
 """The suite in larger programs: from other folders, in pools of processes, with arguments of other kinds."""
 
 import copy
+import json
 import multiprocessing
 import pickle
 import threading
@@ -70,6 +71,37 @@ def test_progress_of_another_kind_is_told_before_the_work(make_town: Any, progre
 def test_names_of_options_of_other_kinds_are_told(make_town: Any) -> None:
     with pytest.raises(InputError, match="found option 3, expected some of"):
         sattools.normalise(make_town(), {3: 1, "none": 2})
+
+
+def test_bounds_are_numbers_of_any_make(make_hamlet: Any, tmp_path: Path) -> None:
+    """The box of a geopandas table, an array, was told as what JSON cannot hold, once all work was done."""
+    hamlet = make_hamlet()
+    west, south, east, north = json.loads((hamlet.root / "scene.json").read_text())["bbox"]
+    x, y = (west + east) / 2, (south + north) / 2
+    box = np.array([x - 2e-4, y - 2e-4, x + 2e-4, y + 2e-4])  # degrees, some 40 m
+    options = {"metadata": hamlet.root / "metadata", "out": tmp_path, "id": "PART", "bounds": box}
+    scene = sattools.prepare(hamlet.root / "images", options)
+    assert scene.history[0]["options"]["bounds"] == box.tolist()
+    assert len(scene.history[0]["options"]["bounds"]) == 4
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"bounds": [1.0, 2.0, 3.0]}, r"bounds: found \[1, 2, 3\], expected four numbers: west, south, east, north"),
+        ({"bounds": "1 2 3 4"}, "PrepOptions: option 'bounds': found '1 2 3 4', expected a list"),
+        ({"bounds": 5}, "PrepOptions: option 'bounds': found 5, expected a list"),
+        ({"aoi": ["area.gpkg"]}, r"PrepOptions: option 'aoi': found \['area.gpkg'\], expected text"),
+        ({"aoi": ""}, "PrepOptions: option 'aoi': found '', expected text that is not empty"),
+    ],
+    ids=str,
+)
+def test_an_area_that_is_none_is_told(make_hamlet: Any, tmp_path: Path, options: Any, why: str) -> None:
+    hamlet = make_hamlet()
+    given = {"metadata": hamlet.root / "metadata", "out": tmp_path, "id": "PART", **options}
+    with pytest.raises(InputError, match=f"^{why}$"):
+        sattools.prepare(hamlet.root / "images", given)
+    assert not (tmp_path / "PART").exists()
 
 
 @pytest.mark.parametrize("surface", [np.zeros((4, 4), np.float32), None, b"dsm.tif"])

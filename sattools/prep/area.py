@@ -14,6 +14,7 @@ from sattools.errors import InputError
 from sattools.prep.layout import Bounds
 from sattools.scene.jsonio import read_json
 from sattools.scene.location import RemotePath
+from sattools.scene.schema import shown
 from sattools.scene.vectors import in_crs, is_geojson, polygons_in, read_features, read_polygons
 
 log = logging.getLogger(__name__)
@@ -128,7 +129,7 @@ def bounds_from_numbers(numbers: Sequence[float], crs: str, given_crs: str | Non
         crs: projected ground CRS [m].
         given_crs: in which they are given; None = degrees.
     """
-    west, south, east, north = (float(v) for v in numbers)
+    west, south, east, north = (float(v) for v in _four(numbers))
     if given_crs is None and 180 < west - east <= 360:  # across 180 degrees, as in the bbox of GeoJSON and STAC
         east += 360
     if not (np.isfinite([west, south, east, north]).all() and west < east and south < north):
@@ -157,10 +158,16 @@ def exchanged_bounds(area: Path | Sequence[float], crs: str) -> Bounds | None:
     from pyproj.exceptions import ProjError
 
     try:
-        first, second, last, other = _box_in_degrees(area) if isinstance(area, Path) else area
+        first, second, last, other = _box_in_degrees(area) if isinstance(area, Path) else _four(area)
         return bounds_from_numbers((second, first, other, last), crs, None)
     except (InputError, ProjError):
         return None
+
+
+def _four(numbers: Sequence[float]) -> Sequence[float]:
+    if len(numbers) != 4:
+        raise InputError(f"bounds: found {shown(list(numbers))}, expected four numbers: west, south, east, north")
+    return numbers
 
 
 def _box_in_degrees(path: Path) -> Sequence[float]:

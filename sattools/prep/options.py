@@ -49,8 +49,8 @@ class PrepOptions:
         "Copy the pixels into the scene's folder, or refer to the original files by window and corrected camera "
         "[default: copy up to 2 GiB in all].",
     )
-    aoi: str | None = None  # vector file of the area of interest
-    bounds: list[float] = field(default_factory=list)  # west, south, east, north
+    aoi: str | None = field(default=None, metadata={"path": "file"})  # vector file of the area of interest
+    bounds: list[float] | None = field(default_factory=list)  # west, south, east, north
 
 
 __all__ = ["PrepOptions"]

@@ -351,7 +351,7 @@ def _asked_bounds(options: PrepOptions, crs: str) -> Bounds | None:
 
 
 def _area(options: PrepOptions) -> Path | Sequence[float]:
-    return location(options.aoi) if options.aoi else options.bounds
+    return location(options.aoi) if options.aoi else options.bounds or []
 
 
 def _wanted(options: PrepOptions, crs: str) -> Callable[[Bounds], Any]:

@@ -26,18 +26,18 @@ def options_of(cls: type[T], given: T | Mapping[str, Any] | None) -> T:
     """
     if given is None:
         return cls()
-    known = {spec.name: spec for spec in specs(cls)}
+    known = {spec.name: spec for spec in specs(cls, every=True)}
     if not isinstance(given, Mapping):
         if not isinstance(given, cls):
             raise InputError(f"found {type(given).__name__}, expected {cls.__name__} or a dict of its options")
         own = _checked(cls, known, {name: getattr(given, name) for name in known})
         return replace(given, **own)  # type: ignore[type-var]
-    unknown = sorted(set(given) - known.keys() - set(cls.__dataclass_fields__), key=str)  # type: ignore[attr-defined]
+    unknown = sorted(set(given) - known.keys(), key=str)
     if unknown:
-        names = sorted(known.keys() | set(cls.__dataclass_fields__))  # type: ignore[attr-defined]
+        names = sorted(known)
         hint = meant(unknown[0], names)
         raise InputError(f"{cls.__name__}: found option {unknown[0]!r}, expected some of {', '.join(names)}{hint}")
-    return cls(**dict(given) | _checked(cls, known, {name: value for name, value in given.items() if name in known}))
+    return cls(**_checked(cls, known, given))
 
 
 def _checked(cls: type, known: Mapping[str, OptionSpec], given: Mapping[str, Any]) -> dict[str, Any]:
