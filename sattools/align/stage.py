@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -122,7 +122,10 @@ def align(scene: Scene, options: AlignOptions, progress: Progress = silent, over
     transform = {"crs": grid.crs, "matrix": shift.matrix().tolist(), "method": options.method, **asdict(shift), **about}
     write_text(scene.output(f"{folder}/{TRANSFORM}"), json.dumps(transform, indent=1) + "\n")
     progress(1.0, "aligned")
-    notes = [shift.text("px" if "residuals" in about else "m"), *about.get("notes", [])]
+    stayed = _not_moved(dropped)
+    for text in stayed:
+        log.warning("%s: %s", scene.id, text)
+    notes = [shift.text("px" if "residuals" in about else "m"), *about.get("notes", []), *stayed]
     figures = {"shift": asdict(shift), "transform": f"{folder}/{TRANSFORM}", "notes": notes}
     return {**figures, "dropped": sorted(dropped), MADE: _recorded(scene, records)}
 
@@ -312,6 +315,18 @@ def _move_model(scene: Scene, href: str, shift: Shift) -> list[str]:
         StreamedModel(about, stored.colours(), stored.bands, images, maps, strip).save(scene.output(href))
     scene.products["model"] = href
     return []
+
+
+def _not_moved(dropped: Sequence[str]) -> list[str]:
+    """What to say of products that lie where they were: somebody may have handed them on."""
+    files = sorted(set(dropped) & set(MADE_OF_MAPS) - {"dsm_picture", *CATALOGUE})
+    notes = []
+    if files:
+        told = "not moved, and no products any more; `sattools export --overwrite --products ...` makes them anew"
+        notes.append(f"{', '.join(files)}: {told}")
+    if "model" in dropped:
+        notes.append("model: not moved, as it is a network's, and no product any more; `sattools fit` makes one anew")
+    return notes
 
 
 def _write_moved(scene: Scene, move: Move, shift: Shift) -> None:
