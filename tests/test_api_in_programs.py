@@ -6,13 +6,17 @@ import multiprocessing
 import pickle
 import threading
 import warnings
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
+import torch
 from patience import HANGING_S
 from rasterio.errors import NotGeoreferencedWarning
 
@@ -21,7 +25,17 @@ from sattools.errors import InputError, OutputExistsError, SceneError
 from sattools.scene.called import for_python
 from sattools.scene.gdal import not_georeferenced
 
+QUICK = {"resolution": 2.0, "coarsest": 2.0, "epochs": [1], "prior_weight": 0.0}
 STAGES = ("prepare", "normalise", "match", "fit", "export", "align", "compare", "change", "simulate")
+
+
+@contextmanager
+def _of_doubles() -> Iterator[None]:
+    torch.set_default_dtype(torch.float64)
+    try:
+        yield
+    finally:
+        torch.set_default_dtype(torch.float32)
 
 
 def test_a_program_may_go_to_another_folder(make_town: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,6 +149,22 @@ def test_errors_name_flags_as_python_gives_them(make_town: Any) -> None:
 )
 def test_only_flags_that_are_advised_are_named_otherwise(shell: str, python: str) -> None:
     assert for_python(shell) == python
+
+
+@pytest.mark.parametrize(
+    "mode",
+    [torch.no_grad, torch.inference_mode, partial(torch.autocast, "cpu"), partial(torch.device, "meta"), _of_doubles],
+    ids=["no_grad", "inference_mode", "autocast", "device", "doubles"],
+)
+@pytest.mark.parametrize("options", [QUICK, {"field": "neural", "steps": 2, "resolution": 2.0}], ids=["surface", "net"])
+def test_what_a_program_asks_of_pytorch_changes_no_fit(make_hamlet: Any, mode: Any, options: Any) -> None:
+    """Where gradients were off, or numbers doubles, fits ended in PyTorch's words."""
+    plain = sattools.fit(make_hamlet("PLAIN"), options)
+    with mode():
+        asked = (torch.is_grad_enabled(), torch.get_default_dtype(), torch.is_autocast_enabled("cpu"))
+        fitted = sattools.fit(make_hamlet("ASKED"), options)
+        assert (torch.is_grad_enabled(), torch.get_default_dtype(), torch.is_autocast_enabled("cpu")) == asked
+    assert fitted.path("fit/model.safetensors").read_bytes() == plain.path("fit/model.safetensors").read_bytes()
 
 
 def test_threads_side_by_side_hear_nothing_of_images_without_a_place(make_town: Any, tmp_path: Path) -> None:
