@@ -167,6 +167,15 @@ def test_what_a_program_asks_of_pytorch_changes_no_fit(make_hamlet: Any, mode: A
     assert fitted.path("fit/model.safetensors").read_bytes() == plain.path("fit/model.safetensors").read_bytes()
 
 
+@pytest.mark.parametrize("given", [None, {"type": "FeatureCollection"}, b"{}", 3])
+def test_what_is_no_document_is_told(given: Any) -> None:
+    kind = type(given).__name__
+    with pytest.raises(SceneError, match=f"^<stdin>: found {kind}, expected the text of a scene document$"):
+        sattools.Scene.from_json(given)
+    with pytest.raises(SceneError, match=f"^found {kind}, expected the path of a scene document$"):
+        sattools.Scene.from_file(given)
+
+
 def test_threads_side_by_side_hear_nothing_of_images_without_a_place(make_town: Any, tmp_path: Path) -> None:
     """A library in one puts back the filters of warnings from before another began: that one's would be gone."""
     plain = tmp_path / "plain.tif"

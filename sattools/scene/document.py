@@ -202,6 +202,8 @@ class Scene:
         Raises:
             SceneError: not JSON, or not a scene document.
         """
+        if not isinstance(text, str):
+            raise SceneError(f"{source}: found {type(text).__name__}, expected the text of a scene document")
         try:
             data = parse_json(text, source, "a scene document")
         except InputError as error:
@@ -247,6 +249,8 @@ class Scene:
         A folder that was moved is found again: where the recorded root is not there any more, or the document lies
         beside the files it names, the root is the folder of the document.
         """
+        if not isinstance(path, str | os.PathLike):
+            raise SceneError(f"found {type(path).__name__}, expected the path of a scene document")
         if not str(path):  # of a variable that is not set; it would be the current folder
             raise SceneError("found an empty text, expected the path of a scene document")
         try:
