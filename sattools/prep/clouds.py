@@ -96,13 +96,16 @@ def find_clouds(
     cell = max(CELL_M, float(np.sqrt(area / MAX_CELLS)))
     planes = min(MAX_PLANES, max(2, int(np.ceil((heights[1] - heights[0]) / (2.0 * cell)))))
     ground = GroundPlanes.of(cameras, crs, bounds, cell, np.linspace(*heights, planes))
-    smooth = [blurred(g, r, crs, bounds, heights[0], 2.0 * cell) for g, r in zip(grays, cameras, strict=True)]
     values = _values(grays, tracks)
     found: list[Clouds | None] = [None] * len(grays)
     for _ in range(2):  # tie points on clouds spoil what they say of the ground
         gain, offset = common_brightness(tracks, values, len(grays))
-        images = [(g * s + o).astype(np.float32) for g, s, o in zip(smooth, gain, offset, strict=True)]
+        # smoothed anew in each turn: beside what is made of them they would be all images once more
+        images = [blurred(g, r, crs, bounds, heights[0], 2.0 * cell) for g, r in zip(grays, cameras, strict=True)]
+        for image, times, level in zip(images, gain, offset, strict=True):
+            image[:] = image * times + level
         look = _look(images, ground, cell)
+        del images
         if look is None:
             break
         for view in np.flatnonzero(np.isfinite(gain)).tolist():  # of the others nothing is known but what was found

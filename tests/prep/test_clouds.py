@@ -1,5 +1,6 @@
 """Clouds hide the ground in single images: they are found, told and masked, and bright ground is not."""
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -85,6 +86,19 @@ def test_a_cloud_is_found_in_the_images_that_show_it(plain: Any, points: Tracks,
         _, wide = covered(plain[0], 28.0 + 12.0)  # a margin of 6 m, blocks of 2 m and what is blurred
         assert not mask[~wide].any()
         assert cloud.share == pytest.approx(np.pi * 34.0**2 / 1e4, abs=0.1)
+
+
+def test_many_images_are_held_once_more_while_clouds_are_looked_for(plain: Any, points: Tracks) -> None:
+    cloudy, _ = covered(plain[1], 28.0)
+    images = [plain[0], cloudy, *plain[2:]] * 6
+    view = np.concatenate([points.view + 5 * k for k in range(6)])
+    same = Tracks(np.tile(points.point, 6), view, np.tile(points.pixel, (6, 1)))
+    tracemalloc.start()
+    clouds = find_clouds(images, CAMERAS * 6, same, UTM, BOUNDS, HEIGHTS)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert [cloud is not None for cloud in clouds] == [False, True, False, False, False] * 6
+    assert peak < 1.7 * sum(image.nbytes for image in images)
 
 
 def test_the_brightness_of_images_may_differ_as_that_of_dates_does(plain: Any, points: Tracks) -> None:
