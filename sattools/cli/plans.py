@@ -64,10 +64,13 @@ def of_prep(shapes: Iterable[tuple[int, int]]) -> str:
     Args:
         shapes: rows and columns of the images.
     """
+    from sattools.prep.images import memory_needed
+
+    shapes = list(shapes)
     sizes = [rows * cols for rows, cols in shapes]
     seconds = 1.5 + sum(1e-3 * size**0.5 for size in sizes)
-    memory = min(1.3, 0.35 + 2e-8 * max(sizes, default=0)) * _GIB
-    return f"{counted(len(sizes), 'images')}, {sum(sizes) / 1e6:.3g} megapixels: {takes(memory, seconds)}"
+    taken = takes(memory_needed(shapes), seconds)
+    return f"{counted(len(sizes), 'images')}, {sum(sizes) / 1e6:.3g} megapixels: {taken}"
 
 
 def of_simulate(size_m: float, gsd_m: float, views: int) -> str:

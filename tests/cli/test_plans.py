@@ -60,6 +60,15 @@ def test_prep_says_it_of_its_images(make_town: Callable[[], Scene], tmp_path: Pa
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.parametrize(
+    ("images", "edge", "gib"),
+    # really 0.66, 0.75, 1.90, 2.24, 1.07 and 1.29 GiB
+    [(3, 1500, "0.7"), (12, 1500, "0.7"), (12, 3000, "1.9"), (22, 3000, "2.2"), (3, 10000, "1.1"), (3, 40000, "1.3")],
+)
+def test_prep_says_the_memory_of_many_images_and_of_large_ones(images: int, edge: int, gib: str) -> None:
+    assert f" megapixels: about {gib} GiB of memory and " in plans.of_prep([(edge, edge)] * images)
+
+
 def test_prep_of_an_area_says_it_of_what_is_read_of_its_images(
     make_town: Callable[[], Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
