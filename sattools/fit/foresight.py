@@ -17,7 +17,7 @@ from sattools.fit.surface.passes import FEWEST_EPOCHS, cells_of, epochs_of
 from sattools.fit.tiles.state import begun
 from sattools.prior.gate import grids
 from sattools.prior.options import PriorOptions
-from sattools.prior.tiled import AT_ONCE
+from sattools.prior.tiled import AT_ONCE, OVERLAP_CELLS, OVERLAP_M, TILE_CELLS
 from sattools.processors import takes, threads
 from sattools.scene import Grid, Scene
 from sattools.scene.grid import AROUND_TILE_M, SURROUNDINGS_M
@@ -40,6 +40,7 @@ BYTES_PER_CELL = 1000.0
 BYTES_PER_CELL_AND_IMAGE = 250.0
 START_S = 1.5
 WORTH_STARTS = 4.0  # CPU seconds of a process over those of its start, at least
+MATCHED_BYTES_PER_CELL_AND_IMAGE = 80.0  # beside the cost volume: 3 to 36 images, 0.6 and 1.1 million cells at once
 MATCH_CELL_S = 1.0e-5  # CPU seconds of the matching per cell
 MATCH_S = 7.9e-9  # and per cell, height plane and pair of images
 FIT_S = 7.5e-7  # CPU seconds per cell and image, with the passes that a fit has by default
@@ -207,7 +208,7 @@ def matching(scene: Scene, limit_mb: float) -> tuple[float, float]:
 
     Args:
         scene: the scene.
-        limit_mb: of the cost volume [MB]; larger areas are matched in blocks.
+        limit_mb: of the cost volume [MB], which is made in blocks where it is larger; images come on top.
 
     Raises:
         SceneError: a scene without grid or height range.
@@ -215,8 +216,12 @@ def matching(scene: Scene, limit_mb: float) -> tuple[float, float]:
     items = scene.train_items()
     grid, fine = grids(scene, items, PriorOptions())
     cells, around = grid.width * grid.height, _with_surroundings(scene)
-    at_once = max(cells * around, min(fine.width * fine.height * around, AT_ONCE))
-    memory = min(_bytes(at_once, len(items), 0.0), limit_mb * 1e6 + 0.2e9)
+    matched = fine.width * fine.height * around
+    at_once = max(cells * around, min(matched, AT_ONCE))
+    tile = (TILE_CELLS + 2 * max(OVERLAP_CELLS, OVERLAP_M / fine.cell_size)) ** 2
+    beside = MATCHED_BYTES_PER_CELL_AND_IMAGE * len(items)
+    beside *= matched if fine.width * fine.height <= AT_ONCE else min(tile, matched)
+    memory = min(_bytes(at_once, len(items), 0.0), limit_mb * 1e6 + 0.2e9 + beside)
     return memory, START_S + cells * around * _matching_s(scene)
 
 

@@ -172,4 +172,4 @@ def _balances(
     return {source.id: balance for source, balance in zip(sources, found, strict=True)}
 
 
-__all__ = ["AT_ONCE", "match_tiles"]
+__all__ = ["AT_ONCE", "OVERLAP_CELLS", "OVERLAP_M", "TILE_CELLS", "match_tiles"]

@@ -184,6 +184,19 @@ def test_wide_cells_take_as_long_to_match_as_the_finer_ones_they_are_means_of(to
     assert foresee(town, AUTO).memory < made
 
 
+@pytest.mark.parametrize(
+    ("edge_m", "images", "gib"),
+    # 500 m is matched at once; really 1.9 and 4.8 GiB
+    [(500, 12, 2.5), (500, 36, 4.6), (2000, 12, 1.9), (4000, 12, 1.9)],
+)
+def test_a_matching_holds_its_images_beside_the_cost_volume(
+    town: Scene, edge_m: float, images: int, gib: float
+) -> None:
+    scene = of_size(town, edge_m)
+    scene.items = (scene.items * 6)[:images]
+    assert foresight.matching(scene, 1500)[0] / GIB == pytest.approx(gib, abs=0.1)
+
+
 def test_what_is_matched_beyond_an_area_is_counted(town: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """16 m around 16 m of ground in the middle of what the images show: nine times the cells."""
     west, _, _, north = town.require_grid().bounds
