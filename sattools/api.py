@@ -32,10 +32,10 @@ from sattools.progress import Progress, make_progress, silent
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import Scene
 from sattools.scene.called import by_a_program
-from sattools.scene.given import options_of
+from sattools.scene.given import flag_of, options_of
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.runner import Step, run_first, run_on
-from sattools.scene.schema import Flag, shown
+from sattools.scene.schema import shown
 from sattools.settings import specs, tell_without_effect
 from sattools.simulate.options import SimulateOptions
 
@@ -277,7 +277,7 @@ def change(
     from sattools.change.stage import change as stage
 
     own = options_of(ChangeOptions, options)
-    Flag().check(overwrite, "overwrite")
+    overwrite = flag_of(overwrite, "overwrite")
     for surface in (before, after):
         if not isinstance(surface, Scene | str | PathLike):
             expected = "expected a Scene, the path of a scene.json or that of a raster of heights"
@@ -333,11 +333,14 @@ def _scene(scene: SceneLike) -> Scene:
 
 
 def _progress(told: Told, label: str) -> Progress:
-    if told is None or told is False:
-        return silent
-    if told is not True and not callable(told):
-        raise InputError(f"progress: found {told!r}, expected True, or a function of (share done, message)")
-    return make_progress("bar", label) if told is True else told
+    if callable(told):
+        return told
+    try:
+        bar = told is not None and flag_of(told, "progress")
+    except InputError:
+        expected = "expected True, or a function of (share done, message)"
+        raise InputError(f"progress: found {told!r}, {expected}") from None
+    return make_progress("bar", label) if bar else silent
 
 
 __all__ = ["align", "change", "compare", "export", "fit", "match", "normalise", "prepare", "simulate"]

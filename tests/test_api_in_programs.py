@@ -138,6 +138,17 @@ def test_errors_name_flags_as_python_gives_them(make_town: Any) -> None:
     assert sattools.normalise(scene, overwrite=True) is scene
 
 
+def test_flags_of_numpy_are_pythons(make_town: Any, tmp_path: Path) -> None:
+    scene = sattools.normalise(make_town(), overwrite=np.bool_(False), progress=np.bool_(False))
+    with pytest.raises(OutputExistsError):
+        sattools.normalise(scene, overwrite=np.False_)
+    assert sattools.normalise(scene, overwrite=np.True_).history[-1]["command"] == "normalise"
+    with pytest.raises(InputError, match=r"before\.tif: no such file"):
+        sattools.change(tmp_path / "before.tif", tmp_path / "after.tif", overwrite=np.True_)
+    with pytest.raises(InputError, match="overwrite: found 1, expected true or false"):
+        sattools.normalise(scene, overwrite=np.int64(1))
+
+
 @pytest.mark.parametrize(
     ("shell", "python"),
     [

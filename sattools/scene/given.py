@@ -40,6 +40,21 @@ def options_of(cls: type[T], given: T | Mapping[str, Any] | None) -> T:
     return cls(**_checked(cls, known, given))
 
 
+def flag_of(given: Any, name: str) -> bool:
+    """True or false, Python's or numpy's.
+
+    Args:
+        given: by a program.
+        name: what it is called there.
+
+    Raises:
+        InputError: it is neither; a text such as "no" would count as true.
+    """
+    value = _plain(given)
+    Flag().check(value, name)
+    return bool(value)
+
+
 def _checked(cls: type, known: Mapping[str, OptionSpec], given: Mapping[str, Any]) -> dict[str, Any]:
     """Values of options as their dataclass has them. Raises InputError for one that an option does not take."""
     values = {}
@@ -112,4 +127,4 @@ class _Or:
             self.kind.check(value, where)
 
 
-__all__ = ["options_of"]
+__all__ = ["flag_of", "options_of"]

@@ -23,9 +23,9 @@ from sattools.runlog import RunLog
 from sattools.scene.dependencies import SOURCES
 from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, locked
+from sattools.scene.given import flag_of
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import is_remote
-from sattools.scene.schema import Flag
 from sattools.settings import as_dict
 
 Work = Callable[[Scene, Progress], dict[str, Any] | None]
@@ -52,7 +52,7 @@ class Step:
     progress: Progress = silent
 
     def __post_init__(self) -> None:
-        Flag().check(self.overwrite, "overwrite")  # a text such as "no" would count as true
+        object.__setattr__(self, "overwrite", flag_of(self.overwrite, "overwrite"))
 
 
 def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:

@@ -79,3 +79,25 @@ def test_how_long_a_fit_takes_is_not_foretold_by_the_step_that_compiles(
     assert steps[0].startswith("step 1/40, loss ")
     assert steps[1].startswith("step 2/40, about 38 s left, ")
     assert "this fit takes about" not in caplog.text
+
+
+@pytest.mark.parametrize("step_s", [0.01, 100.0])
+def test_a_long_fit_is_foretold_once_however_short_its_steps(
+    make_matched_hamlet: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, step_s: float
+) -> None:
+    """Steps of less than 0.2 s went on for hours without a word, longer ones told it four times."""
+    now, step = [0.0], rays_job.RayTrainer.step
+
+    def timed(self: Any, number: int) -> float:
+        if now[0] > 10 * max(step_s, 1.0):
+            raise KeyboardInterrupt
+        now[0] += step_s
+        return step(self, number)
+
+    monkeypatch.setattr(rays_job.RayTrainer, "step", timed)
+    monkeypatch.setattr(rays_job.Trace, "seconds", lambda self: now[0])
+    options = resolve("fast", {"field": "voxel", "rays": 4, "samples": 2, "steps": 360_001, "resolution": 8.0})
+    with caplog.at_level(logging.WARNING), pytest.raises(KeyboardInterrupt):
+        fit(make_matched_hamlet(), options)
+    assert caplog.text.count("this fit takes about") == 1
+    assert f"this fit takes about {'60 min' if step_s == 0.01 else '417 days'}; --budget" in caplog.text

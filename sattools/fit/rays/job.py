@@ -52,6 +52,7 @@ class RayJob:
     z_range: tuple[float, float]
     trace: Trace
     basis: JsonObject | None = None
+    _foretold: bool = False
 
     def run(self, options: FitOptions, progress: Progress) -> list[str]:
         """Train; notes."""
@@ -94,8 +95,8 @@ class RayJob:
                 about = f"about {duration(left)} left, " if done > timed_at else ""
                 share = max(done / trainer.steps, now / (options.budget or math.inf))
                 watch(min(1.0, share), f"step {done}/{trainer.steps}, {about}loss {loss:.5f}")
-                if done - start <= TRIAL < trainer.steps and left > LONG_S and not options.budget:
-                    log.warning("this fit takes about %s; --budget SECONDS ends it in time", duration(left))
+                if done > timed_at:
+                    self._foretell(left, now - timed_s, options)
             due = done % (SAVE_EVERY * every) == 0 or trace.seconds() - saved_at >= SAVE_EVERY_S
             if due and done < options.steps and not over:
                 saved_at = trace.seconds()
@@ -104,6 +105,20 @@ class RayJob:
             if over:
                 return [self._stopped(options, done, None), *notes]
         return notes
+
+    def _foretell(self, left: float, timed_s: float, options: FitOptions) -> None:
+        """Say once how long a long fit takes.
+
+        Args:
+            left: seconds until its end.
+            timed_s: seconds of the steps by which that is known.
+            options: of the fit.
+        """
+        if self._foretold or timed_s < TELL_EVERY_S:
+            return
+        self._foretold = True
+        if left > LONG_S and not options.budget:
+            log.warning("this fit takes about %s; --budget SECONDS ends it in time", duration(left))
 
     def _begin(self, options: FitOptions) -> int:
         """Plan all steps, and take what an interrupted run has left, if this one goes on with it; its steps."""
