@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextvars
+import importlib
 import math
 import os
 import sys
@@ -11,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 # what PyTorch, MKL, the compiled kernels and OpenCV read when they are imported
 POOLS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
@@ -44,7 +45,7 @@ def side_by_side(function: Callable[[T], R], items: Iterable[T], most: int | Non
         yield from map(function, items)
         return
     pool = ThreadPoolExecutor(count, "sattools")
-    cv2 = sys.modules.get("cv2")
+    cv2 = imported("cv2")
     before = cv2.getNumThreads() if cv2 else 0
     try:
         if cv2:
@@ -57,6 +58,15 @@ def side_by_side(function: Callable[[T], R], items: Iterable[T], most: int | Non
         pool.shutdown(cancel_futures=True)
         if cv2:
             cv2.setNumThreads(before)
+
+
+def imported(name: str) -> Any:
+    """A module that somebody has imported, once that is done if another thread is just about it; None if nobody has.
+
+    Args:
+        name: of the module.
+    """
+    return importlib.import_module(name) if name in sys.modules else None
 
 
 def cores() -> int:
@@ -141,6 +151,6 @@ def in_environment(name: str, value: str) -> Iterator[None]:
 
 
 __all__ = [
-    "POOLS", "cores", "group_files", "in_environment", "side_by_side", "takes", "threads",
+    "POOLS", "cores", "group_files", "imported", "in_environment", "side_by_side", "takes", "threads",
     "with_threads",
 ]  # fmt: skip

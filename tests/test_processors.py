@@ -1,12 +1,15 @@
 """A process knows what its container allows it."""
 
 import contextvars
+import importlib
 import os
+import sys
 import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import HANGING_S
 
 from sattools import processors
 from sattools.scene import memory
@@ -167,3 +170,27 @@ def test_the_first_error_by_order_is_raised_and_the_rest_is_left_alone(four_thre
     with pytest.raises(ValueError, match="of the first"):
         list(processors.side_by_side(fail, range(1000)))
     assert len(begun) < 1000
+
+
+def test_a_module_that_another_thread_is_importing_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`prepare` beside the first `fit` of a program ended with an AttributeError about PyTorch."""
+    (tmp_path / "late_module.py").write_text("import late_event\nlate_event.wait()\nVALUE = 1\n")
+    begun, goes_on = threading.Event(), threading.Event()
+
+    class _Event:
+        def wait(self) -> None:
+            begun.set()
+            goes_on.wait(HANGING_S)
+
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(sys.modules, "late_event", _Event())
+    assert processors.imported("late_module") is None
+    importing = threading.Thread(target=importlib.import_module, args=("late_module",))
+    importing.start()
+    assert begun.wait(HANGING_S)
+    threading.Timer(0.2, goes_on.set).start()
+    assert processors.imported("late_module").VALUE == 1
+    importing.join(HANGING_S)
+    monkeypatch.delitem(sys.modules, "late_module")

@@ -22,7 +22,7 @@ from sattools.progress import Progress, silent
 from sattools.scene import Grid
 from sattools.scene.cog import CogWriter
 from sattools.scene.datums import difference as datums_differ
-from sattools.scene.files import all_or_nothing, check_outputs, remove, write_bytes, write_text
+from sattools.scene.files import all_or_nothing, check_outputs, locked, remove, write_bytes, write_text
 from sattools.scene.folders import make_folder, without_empty_folders
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import heights_above
@@ -81,7 +81,8 @@ def change(
     if options.polygons:
         table["polygons"] = _per_polygon(Path(options.polygons), old.grid, heights)
     progress(0.8, "writing")
-    with all_or_nothing():
+    # another one may have written there since it was checked
+    with locked(folder), all_or_nothing([], overwrite):
         _write_map(folder / HEIGHT, heights.difference.__getitem__, ("m", "height, later minus earlier"), (old, new))
         _write_map(
             folder / SIGNIFICANCE, lambda rows: heights.difference[rows] / heights.sigma[rows],

@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from sattools.errors import SattoolsError
+from sattools.processors import imported
 
 # flags that errors advise to give, as words of their own; not those within a command line, which stands in `...`
 _ADVICE = re.compile(r"(`[^`]*`)|(?<![^\s(])--(overwrite|resume)\b(?!-)")
@@ -41,7 +42,7 @@ def _torch_as_it_comes() -> Iterator[None]:
 
     A fit needs gradients, float32 and the device that it is told. Where PyTorch is not imported yet, nobody has asked.
     """
-    torch: Any = sys.modules.get("torch")
+    torch = imported("torch")
     with ExitStack() as modes:
         if torch is not None:
             modes.enter_context(_float32)

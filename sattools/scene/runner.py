@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 from sattools import __version__, system
 from sattools.errors import SceneError, StaleError
+from sattools.processors import imported
 from sattools.progress import Progress, silent
 from sattools.runlog import RunLog
 from sattools.scene.dependencies import SOURCES
@@ -290,8 +291,8 @@ def _versions() -> dict[str, str]:
     versions = {"sattools": __version__, "python": ".".join(map(str, sys.version_info[:3]))}
     for name in ("numpy", "torch", "rasterio"):
         # only what the command really used: importing torch for its version costs seconds
-        if name in sys.modules:
-            versions[name] = str(sys.modules[name].__version__)
+        if module := imported(name):
+            versions[name] = str(module.__version__)
     return versions
 
 

@@ -8,8 +8,10 @@ import pyogrio
 import pytest
 from click.testing import CliRunner
 
+import sattools
 from sattools.cli import main
 from sattools.compare import picture
+from sattools.errors import OutputExistsError
 from sattools.scene.grid import Grid
 from sattools.scene.raster import write_cog
 
@@ -54,3 +56,16 @@ def test_the_picture_says_what_is_subtracted_from_what(
     change(*dates, tmp_path / "out")
     _, colours = figures[0].axes
     assert colours.get_ylabel() == "later minus earlier [m]"
+
+
+def test_files_that_another_call_has_written_meanwhile_are_not_replaced_unasked(dates: Any, tmp_path: Path) -> None:
+    """Two calls at once had looked before either wrote, and the later one's files replaced the others."""
+    options = {"register": "none", "out": str(tmp_path / "out")}
+
+    def another(share: float, message: str) -> None:
+        if message == "regions":
+            sattools.change(*dates, options)
+
+    with pytest.raises(OutputExistsError, match=r"height_change\.tif: exists already; give overwrite=True"):
+        sattools.change(*dates, options, progress=another)
+    sattools.change(*dates, options, overwrite=True)
