@@ -12,7 +12,7 @@ import numpy as np
 
 from sattools.change.joined import Joined, Sums, sums_of
 from sattools.change.options import ChangeOptions
-from sattools.compare.tally import ROUNDS, Tally
+from sattools.compare.tally import ROUNDS, Median, Tally
 from sattools.scene.stored import map_like, pieces
 
 LEAST_SIGMA_M = 0.05
@@ -72,7 +72,7 @@ class Region(Sums):
     box: tuple[int, int, int, int] = (0, 0, 0, 0)
 
 
-def cell_sigma(difference: np.ndarray, std: np.ndarray | None) -> np.ndarray:
+def cell_sigma(difference: np.ndarray, std: np.ndarray | None, noise: float | None = None) -> np.ndarray:
     """Standard deviation of the height difference of every cell.
 
     The scatter of all cells about their median (most of an area has not changed), and where the surfaces state their
@@ -81,12 +81,13 @@ def cell_sigma(difference: np.ndarray, std: np.ndarray | None) -> np.ndarray:
     Args:
         difference: ``[H, W]`` later minus earlier [m]; NaN = unknown.
         std: ``[H, W]`` of both surfaces together [m], NaN = unknown; or None.
+        noise: in place of the scatter [m]; None = that.
 
     Returns:
         ``[H, W]`` [m].
     """
     shape = (difference.shape[0], difference.shape[1])
-    scatter = max(scatter_of(difference), LEAST_SIGMA_M)
+    scatter = max(scatter_of(difference) if noise is None else noise, LEAST_SIGMA_M)
     sigma = map_like(difference, shape, np.float32)
     for rows in pieces(shape):
         own = np.zeros_like(difference[rows]) if std is None else np.nan_to_num(std[rows])
@@ -107,6 +108,24 @@ def scatter_of(difference: np.ndarray) -> float:
             tally.add(round_, part[np.isfinite(part)])
     found = tally.figures()["nmad"]
     return math.nan if found is None else float(found)
+
+
+def nearby_scatter(difference: np.ndarray, cells: int) -> float:
+    """Standard deviation of what is known of a map, by its differences between cells side by side [m]; NaN of nothing.
+
+    Wide changes are none of it, however much of the area they are: their edges are few.
+
+    Args:
+        difference: ``[H, W]`` [m]; NaN = unknown.
+        cells: how far apart they are, eastwards.
+    """
+    median = Median()
+    for show in (median.first, median.again):
+        for rows in pieces((difference.shape[0], difference.shape[1])):
+            part = np.asarray(difference[rows], np.float32)
+            apart = np.abs(part[:, cells:] - part[:, :-cells])
+            show(apart[np.isfinite(apart)])
+    return 1.4826 / math.sqrt(2) * median.value()
 
 
 def find_regions(heights: HeightChange, options: ChangeOptions) -> tuple[np.ndarray, list[Region]]:
@@ -264,11 +283,13 @@ def _with_corners(opened: np.ndarray, cells: np.ndarray, radius: float) -> np.nd
 
 
 __all__ = [
+    "LEAST_SIGMA_M",
     "HeightChange",
     "Region",
     "Sums",
     "cell_sigma",
     "find_regions",
+    "nearby_scatter",
     "opening",
     "scatter_of",
     "sums",

@@ -31,6 +31,14 @@ class ChangeOptions:
         minimum=0.0,
         maximum=100.0,
     )
+    noise: float | None = option(
+        None,
+        "Standard deviation of the difference where nothing has changed, beside what surfaces state themselves [m] "
+        "(default: the scatter of all of it, as most of an area has not changed; where most has, give it, and "
+        "--register none or a later surface whose heights are registered).",
+        minimum=0.0,
+        maximum=1000.0,
+    )
     correlation: float = option(5.0, "Distance over which errors of heights go together [m].", minimum=0.0)
     confidence: float = option(
         0.95,

@@ -13,7 +13,16 @@ import numpy as np
 
 from sattools.camera.ground import ground_area
 from sattools.change.dates import register_dates
-from sattools.change.detect import HeightChange, Region, cell_sigma, find_regions, scatter_of, sums
+from sattools.change.detect import (
+    LEAST_SIGMA_M,
+    HeightChange,
+    Region,
+    cell_sigma,
+    find_regions,
+    nearby_scatter,
+    scatter_of,
+    sums,
+)
 from sattools.change.options import ChangeOptions
 from sattools.change.surfaces import Surface, check_surface, order_of_bands, read_surface
 from sattools.compare.picture import difference_picture
@@ -32,6 +41,7 @@ from sattools.scene.vectors import Features, geopackage, numbered_polygons, read
 log = logging.getLogger(__name__)
 HEIGHT, SIGNIFICANCE, ALBEDO = "height_change.tif", "significance.tif", "albedo_change.tif"
 POLYGONS, PICTURE, TABLE = "changes.gpkg", "height_change.png", "change.json"
+WIDE = 4.0  # times the scatter side by side: no errors of matching, whose correlation is that of the option
 
 
 @without_empty_folders()
@@ -65,13 +75,16 @@ def change(
     make_folder(folder)
     found = register_dates(old, new, options.register, folder)
     heights = HeightChange(
-        found.difference, cell_sigma(found.difference, found.together("std", np.hypot)), old.grid.cell_size,
-        options.correlation, found.together("confidence", np.fmin), ground_area(old.grid.crs, old.grid.bounds),
+        found.difference, cell_sigma(found.difference, found.together("std", np.hypot), options.noise),
+        old.grid.cell_size, options.correlation, found.together("confidence", np.fmin),
+        ground_area(old.grid.crs, old.grid.bounds),
     )  # fmt: skip
     progress(0.6, "regions")
     labels, regions = find_regions(heights, options)
     unsure = [surface for surface in (old, new) if regions and "confidence" not in surface.layers]
-    notes = [*found.notes, *_other_bands(old, new), *map(_noise_alone, unsure)]
+    moved = found.shift_m[2]
+    notes = [*found.notes, *_mostly_changed(heights, regions, options, moved), *_other_bands(old, new)]
+    notes += map(_noise_alone, unsure)
     for text in notes:
         log.warning("%s", text)
     table: JsonObject = {"before": old.name, "after": new.name, "shift_m": [round(v, 4) for v in found.shift_m]}
@@ -139,6 +152,38 @@ def _noise_alone(surface: Surface) -> str:
     )
 
 
+def _mostly_changed(
+    heights: HeightChange, regions: Sequence[Region], options: ChangeOptions, moved: float
+) -> list[str]:
+    """What to say where most of the area has changed: that is then taken for noise, or for what has not.
+
+    Args:
+        heights: the change.
+        regions: found in it.
+        options: see `ChangeOptions`.
+        moved: what registration has added to the later heights [m].
+    """
+    notes = []
+    none = "--register none leaves heights as they are, if both are above the same datum"
+    scatter = scatter_of(heights.difference)
+    if options.noise is None and 2 * scatter > options.min_height:
+        nearby = nearby_scatter(heights.difference, max(1, round(options.correlation / heights.cell_size)))
+        if scatter > WIDE * max(nearby, LEAST_SIGMA_M):
+            notes.append(
+                f"differences scatter by {scatter:.2g} m, side by side by {nearby:.2g} m: most of the area seems to "
+                f"have changed, which is taken for noise, and what has changed by less than {2 * scatter:.2g} m for "
+                f"none; --noise says what unchanged ground has (such as {max(nearby, LEAST_SIGMA_M):.1g}), and {none}"
+            )
+    still = [region for region in regions if abs(region.mean_m - moved) < options.min_height <= abs(moved)]
+    if still:
+        area = sum(region.area_m2 for region in still)
+        notes.append(
+            f"most of the area has changed by {-moved:+.1f} m, which registration takes out: {area:.0f} m2 that have "
+            f"not are told as changed by about {moved:+.1f} m; {none}"
+        )
+    return notes
+
+
 def _write_map(
     path: Path,
     read: Callable[[slice], np.ndarray],
@@ -169,6 +214,7 @@ def _table(heights: HeightChange, regions: list[Region], options: ChangeOptions)
     return {
         "common_share": round(heights.area_m2 / heights.cell_area / (height * width), 4),
         "nmad_m": round(scatter_of(heights.difference), 4),
+        **({} if options.noise is None else {"noise_m": options.noise}),
         "confidence": options.confidence,
         "regions": [_row(_figures(region)) for region in regions],
     }
