@@ -34,8 +34,8 @@ class ChangeOptions:
     noise: float | None = option(
         None,
         "Standard deviation of the difference where nothing has changed, beside what surfaces state themselves [m] "
-        "(default: the scatter of all of it, as most of an area has not changed; where most has, give it, and "
-        "--register none or a later surface whose heights are registered).",
+        "(default: the scatter of all of it, as most of an area has not changed; where most has, it is to be given, "
+        "and --register none).",
         minimum=0.0,
         maximum=1000.0,
     )

@@ -21,6 +21,13 @@ else:
     from pathlib import PosixPath as SystemPath
 
 IMAGE_SUFFIXES = (".tif", ".tiff", ".ntf", ".nitf", ".jp2", ".img")
+# what vendors deliver images in and beside them
+_NO_IMAGES = {
+    **dict.fromkeys(
+        (".zip", ".tar", ".tgz", ".gz", ".7z"), "an archive, expected the images in it (unpacked, with their metadata)"
+    ),
+    **dict.fromkeys((".xml", ".imd", ".rpb", ".til"), "a metadata file, expected the image that it is about"),
+}
 _SCHEMES = {
     "http": "/vsicurl/http://",
     "https": "/vsicurl/https://",
@@ -30,6 +37,7 @@ _SCHEMES = {
     "az": "/vsiaz/",
 }
 _ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/")  # one letter is a drive
+_NAMED = 5  # folders
 _NETWORK = re.compile(r"/vsi(curl|s3|gs|az|adls|oss|swift|hdfs|webhdfs)|[a-z0-9+.-]+://", re.IGNORECASE)
 _SWITCH = "SATTOOLS_ALLOW_REMOTE"
 
@@ -133,19 +141,36 @@ def image_locations(names: Iterable[str]) -> list[Path]:
         names: as the user gives them.
 
     Raises:
-        InputError: an address that is none, or a folder without images.
+        InputError: an address that is none, an archive, a metadata file, or a folder without images.
     """
     found: list[Path] = []
     for name in names:
         place = location(name)
         if isinstance(place, RemotePath) or not place.is_dir():
+            what = _NO_IMAGES.get(place.suffix.lower())
+            if what and not isinstance(place, RemotePath) and place.is_file():
+                raise InputError(f"{place}: found {what}")
             found.append(place)
             continue
         inside = images_in(place)
         if not inside:
-            raise InputError(f"{place}: found a folder without images, expected some ({' '.join(IMAGE_SUFFIXES)})")
+            why = f"found a folder without images, expected some ({' '.join(IMAGE_SUFFIXES)})"
+            raise InputError(f"{place}: {why}{_where_images_are(place)}")
         found += inside
     return found
+
+
+def _where_images_are(folder: Path) -> str:
+    """Which folders up to three levels below one have images, as deliveries of several products do; "" where none has.
+
+    Not all of them may be meant: panchromatic and multispectral images lie side by side.
+    """
+    below = [path for depth in ("*/*", "*/*/*", "*/*/*/*") for path in folder.glob(depth)]
+    has = sorted({str(path.parent.relative_to(folder)) for path in below if path.suffix.lower() in IMAGE_SUFFIXES})
+    if not has:
+        return ""
+    named = ", ".join(has[:_NAMED]) + (", ..." if len(has) > _NAMED else "")
+    return f"; there are some in its folders {named}: give those that are meant"
 
 
 __all__ = [

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
+_PLANET = re.compile(r"(\d{8}_\d{6}_.+?)_(?:basic|ortho|1b|3b)(?:_|$)")  # names in lower case
 _TILE = re.compile(r"_r(\d+)c(\d+)(?=-|$)", re.IGNORECASE)
 
 
@@ -34,6 +35,10 @@ def sidecars(image: Path, folders: Iterable[Path]) -> list[Path]:
     core_bands = re.sub(r"^(pneo\d.*)_(p|rgb|ned)$", r"\1", core_tile)
     for c in dict.fromkeys((core, core_tile, core_bands)):
         names += [f"rpc_{c}.xml", f"dim_{c}.xml"]
+    # Planet writes <item>_basic_l1a_panchromatic_dn.tif, <item>_1B_AnalyticMS.tif beside <item>_metadata.json
+    item = _PLANET.match(stem)
+    if item is not None:
+        names.append(f"{item[1]}_metadata.json")
     if re.search(_TILE.pattern + "-", stem, re.IGNORECASE):
         # DigitalGlobe writes <date>-M1BS_R1C1-<order>.TIF beside <date>-M1BS-<order>.RPB, .IMD, .XML and .TIL
         names += [f"{_TILE.sub('', stem)}.{ending}" for ending in ("rpb", "xml", "imd", "til")]

@@ -51,6 +51,37 @@ def test_a_folder_without_any_camera_is_not_empty(tmp_path: Path) -> None:
         images_with_cameras([str(tmp_path / "none")], None)
 
 
+def test_a_delivery_whose_images_lie_deeper_is_told_where(tmp_path: Path) -> None:
+    """Vendors put every product, panchromatic and multispectral, into a folder of its own."""
+    for k in range(4):
+        for kind in ("PAN", "MUL"):
+            (tmp_path / f"01_P00{k}_{kind}").mkdir()
+            image(tmp_path / f"01_P00{k}_{kind}", "a.TIF", TAGS)
+    deeper = tmp_path / "order" / "product" / "IMG_1"
+    deeper.mkdir(parents=True)
+    image(deeper, "a.TIF", TAGS)
+    folders = "01_P000_MUL, 01_P000_PAN, 01_P001_MUL, 01_P001_PAN, 01_P002_MUL, ..."
+    with pytest.raises(InputError, match=f"; there are some in its folders {folders}: give those that are meant$"):
+        images_with_cameras([str(tmp_path)], None)
+    with pytest.raises(InputError, match=r"; there are some in its folders product/IMG_1: give those"):
+        images_with_cameras([str(tmp_path / "order")], None)
+
+
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [
+        ("order.ZIP", r"an archive, expected the images in it \(unpacked, with their metadata\)"),
+        ("order.tar.gz", "an archive, expected"),
+        ("DIM_PHR1A_P.XML", "a metadata file, expected the image that it is about"),
+        ("14OCT17-P1BS.IMD", "a metadata file, expected"),
+    ],
+)
+def test_what_comes_with_images_is_told_by_what_it_is(tmp_path: Path, name: str, what: str) -> None:
+    """An archive was taken for the only image."""
+    with pytest.raises(InputError, match=f"^{tmp_path / name}: found {what}"):
+        (tmp_path / name).write_bytes(b"PK") and images_with_cameras([str(tmp_path / name)], None)
+
+
 def test_jpeg_and_png_in_a_folder_are_quick_looks_and_images_where_they_are_named(tmp_path: Path) -> None:
     taken = image(tmp_path, "a.tif", TAGS)
     named = [tmp_path / "a.jpg", tmp_path / "b.png"]

@@ -240,6 +240,20 @@ def test_sidecars_are_found_by_name_whatever_the_case(tmp_path: Path) -> None:
     assert [p.name for p in sidecars(Path(tmp_path / "B.tif"), [tmp_path])] == ["b_rpc.txt"]
 
 
+@pytest.mark.parametrize(
+    ("image", "item"),
+    [
+        ("20191015_073816_ssc1d3_0011_basic_l1a_panchromatic_dn.tif", "20191015_073816_ssc1d3_0011"),
+        ("20200401_101530_1_105E_1B_AnalyticMS.TIF", "20200401_101530_1_105e"),
+    ],
+)
+def test_planets_metadata_are_found_by_the_item(tmp_path: Path, image: str, item: str) -> None:
+    for name in (f"{item}_metadata.json", "20191015_073816_ssc1d3_0012_metadata.json"):
+        (tmp_path / name).write_text("x")
+    assert [path.name for path in sidecars(tmp_path / image, [tmp_path])] == [f"{item}_metadata.json"]
+    assert sidecars(tmp_path / "20191015_073816_ssc1d3_0011_thumb.tif", [tmp_path]) == []
+
+
 def test_the_first_source_wins_and_the_next_fills_the_gaps() -> None:
     first, second = Metadata(sun=(1.0, 2.0)), Metadata(sun=(3.0, 4.0), platform="x")
     assert first.filled(second) == Metadata(sun=(1.0, 2.0), platform="x")
