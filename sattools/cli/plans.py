@@ -14,6 +14,7 @@ from sattools.errors import counted
 from sattools.processors import takes
 
 if TYPE_CHECKING:
+    from sattools.prior.options import PriorOptions
     from sattools.scene import Grid, Scene
 
 Plan = Callable[["Scene"], str]
@@ -32,20 +33,21 @@ def _on_cells(writes: str, memory: float, start_s: float, cell_s: float, image_s
     return said
 
 
-def of_prior(limit_mb: float) -> Plan:
+def of_prior(options: PriorOptions) -> Plan:
     """Of `prior`.
 
     Args:
-        limit_mb: of the cost volume.
+        options: of the matching.
     """
 
     def said(scene: Scene) -> str:
-        from sattools.fit.foresight import matching
+        from sattools.prior.foresight import foresee_matching
 
         if scene.grid is None or scene.height_range_m is None:
             return "writes prior/"
-        memory, seconds = matching(scene, limit_mb)
-        return f"{_size(scene)}: {takes(memory, seconds)}; writes prior/"
+        plan = foresee_matching(scene, options)
+        tiles = f", in {counted(plan.tiles, 'tiles')}" if plan.edge else ""
+        return f"{_size(scene)}{tiles}: {takes(plan.memory, plan.cpu_s)}; writes prior/"
 
     return said
 

@@ -41,4 +41,4 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         check_start(scene, options, overwrite)
 
     run = Run("prior", options, dry_run, print_config, overwrite)
-    run_scenes(run, scenes, work, plan="match the images", foreseen=plans.of_prior(options.memory), check=check)
+    run_scenes(run, scenes, work, plan="match the images", foreseen=plans.of_prior(options), check=check)

@@ -8,16 +8,15 @@ import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sattools.camera.rpc import RPC
-from sattools.errors import SattoolsError, SceneError, counted
+from sattools.errors import SceneError, counted
 from sattools.fit.combinations import step_bytes
 from sattools.fit.options import FitOptions
 from sattools.fit.presets import with_preset
 from sattools.fit.surface.passes import FEWEST_EPOCHS, cells_of, epochs_of
 from sattools.fit.tiles.state import begun
-from sattools.prior.gate import grids
+from sattools.prior.cells import grids
+from sattools.prior.foresight import START_S, known_surroundings, matching_bytes, seconds_per_cell
 from sattools.prior.options import PriorOptions
-from sattools.prior.tiled import AT_ONCE, OVERLAP_CELLS, OVERLAP_M, TILE_CELLS
 from sattools.processors import takes, threads
 from sattools.scene import Grid, Scene
 from sattools.scene.grid import AROUND_TILE_M, SURROUNDINGS_M
@@ -38,11 +37,7 @@ LARGEST_AT_ONCE_M = 1024.0  # beyond it tiles cost nothing and keep progress
 BASE_BYTES = 450e6
 BYTES_PER_CELL = 1000.0
 BYTES_PER_CELL_AND_IMAGE = 250.0
-START_S = 1.5
 WORTH_STARTS = 4.0  # CPU seconds of a process over those of its start, at least
-MATCHED_BYTES_PER_CELL_AND_IMAGE = 80.0  # beside the cost volume: 3 to 36 images, 0.6 and 1.1 million cells at once
-MATCH_CELL_S = 1.0e-5  # CPU seconds of the matching per cell
-MATCH_S = 7.9e-9  # and per cell, height plane and pair of images
 FIT_S = 7.5e-7  # CPU seconds per cell and image, with the passes that a fit has by default
 # of these, what is there once (the albedo's solution); what passes take with a reflectance model or learned shadows
 ONCE, HARDER = 0.5, 2.0
@@ -168,26 +163,13 @@ def _matching_s(scene: Scene) -> float:
     """CPU seconds of the matching per cell of the grid, which may be matched on finer ones."""
     items = scene.train_items()
     grid, fine = grids(scene, items, PriorOptions())
-    low, high = scene.require_height_range()
-    pairs = min(len(items) * (len(items) - 1) // 2, PriorOptions().pairs)
-    each = MATCH_CELL_S + MATCH_S * (high - low) / (2 * fine.cell_size) * pairs
-    return each * (grid.cell_size / fine.cell_size) ** 2
+    return seconds_per_cell(scene, items, fine.cell_size, PriorOptions()) * (grid.cell_size / fine.cell_size) ** 2
 
 
 def _with_surroundings(scene: Scene) -> float:
     """Cells that are matched, what stands around the area included, per cell of the area; 1 where that is not known."""
-    from sattools.prior.matched import matching_height  # late: it is slow to import
-    from sattools.prior.surroundings import with_surroundings
-
-    grid, items = scene.require_grid(), scene.train_items()
-    shapes = [tuple(item.properties.get("proj:shape") or ()) for item in items]
-    if not all(shapes):
-        return 1.0
-    try:
-        cameras = [RPC.from_file(scene.path(item.assets["rpc"].href)) for item in items]
-    except (SattoolsError, KeyError):  # which the command will tell
-        return 1.0
-    wide = with_surroundings(grid, cameras, shapes, matching_height(scene.require_height_range()), scene.surroundings_m)
+    grid = scene.require_grid()
+    wide = known_surroundings(scene, scene.train_items(), grid)
     return wide.width * wide.height / (grid.width * grid.height)
 
 
@@ -198,31 +180,8 @@ def _matching_bytes(scene: Scene, options: FitOptions, cells: float) -> float:
     """
     if options.prior_weight == 0 or "prior_dsm" in scene.products:
         return 0.0
-    items = scene.train_items()
-    grid, fine = grids(scene, items, PriorOptions())
-    return _bytes(min(cells * (grid.cell_size / fine.cell_size) ** 2, max(AT_ONCE, cells)), len(items), 0.0)
-
-
-def matching(scene: Scene, limit_mb: float) -> tuple[float, float]:
-    """Bytes, at most, and CPU seconds of `prior`.
-
-    Args:
-        scene: the scene.
-        limit_mb: of the cost volume [MB], which is made in blocks where it is larger; images come on top.
-
-    Raises:
-        SceneError: a scene without grid or height range.
-    """
-    items = scene.train_items()
-    grid, fine = grids(scene, items, PriorOptions())
-    cells, around = grid.width * grid.height, _with_surroundings(scene)
-    matched = fine.width * fine.height * around
-    at_once = max(cells * around, min(matched, AT_ONCE))
-    tile = (TILE_CELLS + 2 * max(OVERLAP_CELLS, OVERLAP_M / fine.cell_size)) ** 2
-    beside = MATCHED_BYTES_PER_CELL_AND_IMAGE * len(items)
-    beside *= matched if fine.width * fine.height <= AT_ONCE else min(tile, matched)
-    memory = min(_bytes(at_once, len(items), 0.0), limit_mb * 1e6 + 0.2e9 + beside)
-    return memory, START_S + cells * around * _matching_s(scene)
+    grid, fine = grids(scene, scene.train_items(), PriorOptions())
+    return matching_bytes(scene, cells * (grid.cell_size / fine.cell_size) ** 2)
 
 
 def chosen_tile(scene: Scene, options: FitOptions) -> float | None:
@@ -337,6 +296,6 @@ def _bytes(cells: float, images: int, finer: float) -> float:
 
 
 __all__ = [
-    "Foresight", "check_tiled", "chosen_tile", "foresee", "matching", "plan_of", "side_by_side", "why_at_once",
+    "Foresight", "check_tiled", "chosen_tile", "foresee", "plan_of", "side_by_side", "why_at_once",
     "with_tile",
 ]  # fmt: skip

@@ -9,13 +9,15 @@ from itertools import combinations
 import numpy as np
 
 from sattools.errors import SceneError
+from sattools.prior.cells import grids
 from sattools.prior.files import MAPS, SURROUNDINGS
+from sattools.prior.foresight import check_fits, plan_matching, warn_of_tiles
+from sattools.prior.matched import matching_height
 from sattools.prior.matching.pairs import choose_pairs
 from sattools.prior.options import PriorOptions
-from sattools.prior.tiled import AT_ONCE
+from sattools.prior.surroundings import with_surroundings
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.dependencies import may_begin
-from sattools.scene.grid import default_cell_size, finer_pixel
 from sattools.views import line_of_sight, open_images
 from sattools.views.check import check_extent
 
@@ -26,7 +28,6 @@ NO_STEREO = "found no two images from different directions, expected stereo imag
 # streets and houses, however small the cells are.
 WIDE_CELLS, WIDE_M = 9, 3.0
 NARROW_DEG = 5.0  # between lines of sight, below which half a pixel is several pixels of height
-COARSE, FINE = 1.5, 0.6  # times as wide as cells that suit the pixels, beyond which cells are not matched themselves
 
 
 def check_start(scene: Scene, options: PriorOptions, overwrite: bool = True) -> None:
@@ -46,36 +47,16 @@ def check_start(scene: Scene, options: PriorOptions, overwrite: bool = True) -> 
     warn_of_base(scene, items)
     z_range = scene.require_height_range()
     images = open_images(scene, items)
-    if fine.width * fine.height <= AT_ONCE:
+    shapes = [image.shape for image in images.parts]
+    wide = with_surroundings(fine, images.cameras, shapes, matching_height(z_range), scene.surroundings_m)
+    plan = plan_matching(scene, items, fine, wide, options)
+    check_fits(scene, plan, len(items))
+    warn_of_tiles(scene, plan)
+    if plan.edge is None:
         check_extent(grid)
     slopes = [line_of_sight(camera, fine, z_range[0], z_range)[0] for camera in images.cameras]
     if not len(choose_pairs(slopes, [None] * len(items), options.pairs)):
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
-
-
-def grids(scene: Scene, items: list[Item], options: PriorOptions) -> tuple[Grid, Grid]:
-    """Grid of the result, and that on which the images are matched.
-
-    Windows of cells much wider than pixels see roof and street at once, and the roof wins. So a surface of such cells
-    is the mean of one of finer cells. Windows much narrower than pixels see noise, so a surface of such cells lies
-    between the cells of a coarser one. Who asks for a ``resolution`` is matched on that.
-
-    Args:
-        scene: with a grid.
-        items: the images.
-        options: of the matching.
-    """
-    whole = scene.require_grid()
-    if options.resolution:
-        grid = whole.resized(options.resolution)
-        return grid, grid
-    sizes = [float(item.properties.get("gsd") or 0.0) for item in items]
-    if not all(size > 0 for size in sizes):
-        return whole, whole
-    times = whole.cell_size / default_cell_size(finer_pixel(sizes))
-    if times > COARSE:
-        return whole, whole.resized(whole.cell_size / math.ceil(times - 1e-6))
-    return whole, whole.resized(whole.cell_size * (round(1 / times) if times < FINE else 1))
 
 
 def check_count(scene: Scene, items: list[Item]) -> None:
@@ -152,6 +133,6 @@ def per_image_href(name: str, item_id: str) -> str:
 
 
 __all__ = [
-    "NO_STEREO", "check_count", "check_start", "check_step", "grids", "outputs", "per_image_href", "warn_of_base",
+    "NO_STEREO", "check_count", "check_start", "check_step", "outputs", "per_image_href", "warn_of_base",
     "warn_of_window",
 ]  # fmt: skip

@@ -9,12 +9,13 @@ import numpy as np
 
 from sattools.errors import SceneError
 from sattools.prior.brightness import brightness_of_blocks
+from sattools.prior.cells import grids
 from sattools.prior.files import CONFIDENCE, DATUM, DSM, MapFiles, write_sensor_map, write_surroundings
+from sattools.prior.foresight import check_fits, plan_matching, warn_of_tiles
 from sattools.prior.gate import (
     NO_STEREO,
     check_count,
     check_step,
-    grids,
     outputs,
     per_image_href,
     warn_of_base,
@@ -24,7 +25,7 @@ from sattools.prior.matched import Matched, match_area, matching_height
 from sattools.prior.options import PriorOptions
 from sattools.prior.project import seen_by
 from sattools.prior.surroundings import with_surroundings
-from sattools.prior.tiled import AT_ONCE, match_tiles
+from sattools.prior.tiled import match_tiles
 from sattools.prior.water import SURE, level_water
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Asset, Grid, Item, Scene
@@ -86,8 +87,11 @@ def prior(
     wide = with_surroundings(fine, images.cameras, shapes, matching_height(z_range), scene.surroundings_m)
     if wide != grid:
         sources = None  # the ones given were read for other cells
-    if sources is None and fine.width * fine.height > AT_ONCE:
-        found = match_tiles(scene, items, fine, wide, options, part)
+    plan = plan_matching(scene, items, fine, wide, options, whole=sources is not None)
+    check_fits(scene, plan, len(items))
+    notes += warn_of_tiles(scene, plan)
+    if plan.edge:
+        found = match_tiles(scene, items, fine, wide, options, part, edge=plan.edge)
     else:
         check_extent(grid)
         sources = load_sources(replace(scene, grid=wide), items, images) if sources is None else sources

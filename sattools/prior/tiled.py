@@ -20,6 +20,7 @@ from sattools.views import RadiometricBalance, Source, load_sources, views_on
 
 AT_ONCE = 1 << 20  # cells of an area that is matched as a whole
 TILE_CELLS = 512  # about so many along an edge of a tile, without its overlap
+SMALLER_CELLS = (256, 128)  # the same where memory is scarce: small tiles match worse
 OVERLAP_M = 32.0  # by which a tile reaches into its neighbours, at least
 OVERLAP_CELLS = 32
 MOST_OVERLAP = 0.4  # of a tile's edge: cells of less than 0.14 m would have more in common than of their own
@@ -61,7 +62,14 @@ class _Means:
 
 
 def match_tiles(
-    scene: Scene, items: Sequence[Item], grid: Grid, around: Grid, options: PriorOptions, progress: Progress
+    scene: Scene,
+    items: Sequence[Item],
+    grid: Grid,
+    around: Grid,
+    options: PriorOptions,
+    progress: Progress,
+    *,
+    edge: int | None = None,
 ) -> Matched | None:
     """Match an area tile by tile.
 
@@ -75,6 +83,7 @@ def match_tiles(
         around: the same with what stands around it, which is matched.
         options: of the matching.
         progress: share done.
+        edge: about so many cells along that of a tile, without its overlap; None = `TILE_CELLS`.
 
     Returns:
         The maps of ``around``, to be read by rows (`sattools.scene.stored`); None where no two images look from
@@ -83,11 +92,9 @@ def match_tiles(
     Raises:
         SceneError: an image that shows nothing of the area.
     """
-    edges = _edge(around.height) * around.cell_size, _edge(around.width) * around.cell_size
-    overlap = min(max(OVERLAP_M, OVERLAP_CELLS * around.cell_size), MOST_OVERLAP * min(edges))
-    tiles = make_tiles(around, edges, overlap, around.cell_size)
+    tiles = tiles_of(around, edge or TILE_CELLS)
     z_range = scene.require_height_range()
-    coarse = around.resized(around.cell_size * math.ceil(math.sqrt(len(tiles))))
+    coarse = coarse_of(around, tiles)
     sources = _sources(scene, items, coarse)
     unseen = _unseen(sources, coarse, tiles, z_range)
     balances = _balances(scene, sources, coarse, tiles, unseen, options)
@@ -118,10 +125,28 @@ def match_tiles(
     return means.of(height, confidence, [item.id for item in items])
 
 
-def _edge(cells: int) -> int:
+def tiles_of(around: Grid, edge: int) -> list[Tile]:
+    """Tiles into which an area is cut evenly.
+
+    Args:
+        around: the area with what stands around it.
+        edge: about so many cells along that of a tile, without its overlap.
+    """
+    cell = around.cell_size
+    edges = _edge(around.height, edge) * cell, _edge(around.width, edge) * cell
+    overlap = min(max(OVERLAP_M, OVERLAP_CELLS * cell), MOST_OVERLAP * min(edges))
+    return make_tiles(around, edges, overlap, cell)
+
+
+def coarse_of(around: Grid, tiles: Sequence[Tile]) -> Grid:
+    """Cells of all tiles together, about as many as those of one of them."""
+    return around.resized(around.cell_size * math.ceil(math.sqrt(len(tiles))))
+
+
+def _edge(cells: int, wanted: int) -> int:
     """Cells along an edge of the tiles into which an axis is cut evenly: short ones at the border match worse."""
-    count = round(cells / TILE_CELLS)
-    return math.ceil(cells / count) if count > 1 else max(cells, TILE_CELLS)
+    count = round(cells / wanted)
+    return math.ceil(cells / count) if count > 1 else max(cells, wanted)
 
 
 def _add(tile: Tile, grid: Grid, maps: tuple[np.ndarray, ...], height: np.ndarray, confidence: np.ndarray) -> None:
@@ -172,4 +197,4 @@ def _balances(
     return {source.id: balance for source, balance in zip(sources, found, strict=True)}
 
 
-__all__ = ["AT_ONCE", "OVERLAP_CELLS", "OVERLAP_M", "TILE_CELLS", "match_tiles"]
+__all__ = ["AT_ONCE", "SMALLER_CELLS", "TILE_CELLS", "coarse_of", "match_tiles", "tiles_of"]

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from sattools.cli import main, plans
 from sattools.prep.options import PrepOptions
 from sattools.prep.stage import check_inputs, prepare
+from sattools.prior import PriorOptions
 from sattools.processors import cores, takes
 from sattools.scene import Grid, Scene
 
@@ -122,7 +123,7 @@ def test_people_see_it_first_and_programs_only_in_the_log(make_town: Callable[[]
     assert (document.parent / "sattools.log").read_text().count("prior TOWN: 0.0041 km2, 16384 cells") == 4
 
 
-@pytest.mark.parametrize("plan", [plans.of_export, plans.of_compare, plans.of_align, plans.of_prior(1500)])
+@pytest.mark.parametrize("plan", [plans.of_export, plans.of_compare, plans.of_align, plans.of_prior(PriorOptions())])
 def test_what_a_scene_lacks_is_for_the_command_to_say(town_source: Scene, plan: plans.Plan) -> None:
     scene = Scene.from_json(town_source.to_json())
     scene.grid = None
@@ -137,23 +138,29 @@ def test_minutes_are_seconds_while_they_are_few() -> None:
 
 
 @pytest.mark.parametrize(
-    ("plan", "cells", "images", "seconds"),
+    ("plan", "shape", "images", "seconds"),
     [
         # measured on one thread, docs/batch.md: 27.1 km2 of three images, and JAX_068
-        (plans.of_export, 27_112_849, 3, 38),
-        (plans.of_export, 295_927, 17, 2.4),
-        (plans.of_compare, 27_112_849, 3, 43),
-        (plans.of_align, 27_112_849, 3, 36),
-        (plans.of_prior(1500), 27_112_849, 3, 319),
-        (plans.of_prior(1500), 295_927, 17, 14.2),
+        (plans.of_export, (5207, 5207), 3, 38),
+        (plans.of_export, (547, 541), 17, 2.4),
+        (plans.of_compare, (5207, 5207), 3, 43),
+        (plans.of_align, (5207, 5207), 3, 36),
+        # later, on a machine with other work: 0.61 km2 of three images, and JAX_068
+        (plans.of_prior(PriorOptions()), (1566, 1562), 3, 91.4),
+        (plans.of_prior(PriorOptions()), (547, 541), 17, 38.3),
     ],
 )
 def test_what_is_said_is_what_was_measured(
-    town_source: Scene, monkeypatch: pytest.MonkeyPatch, plan: plans.Plan, cells: int, images: int, seconds: float
+    town_source: Scene,
+    monkeypatch: pytest.MonkeyPatch,
+    plan: plans.Plan,
+    shape: tuple[int, int],
+    images: int,
+    seconds: float,
 ) -> None:
     scene, told = Scene.from_json(town_source.to_json()), []
-    cell, edge = (1.0, 91.0) if images == 3 else (0.5, 74.3)
-    scene.grid, scene.height_range_m = Grid("EPSG:32617", 0.0, 0.0, cell, cells, 1), (0.0, edge)
+    cell, high = (1.0, 91.0) if shape == (5207, 5207) else (0.5, 84.0) if images == 3 else (0.5, 69.3)
+    scene.grid, scene.height_range_m = Grid("EPSG:32617", 0.0, 0.0, cell, *shape), (0.0, high)
     item = replace(scene.items[0], properties={})  # of pixels that suit the cells, whatever these are
     monkeypatch.setattr(scene, "train_items", lambda: [item] * images)
     monkeypatch.setattr(plans, "takes", lambda memory, cpu_s: told.append(cpu_s) or "")

@@ -104,7 +104,7 @@ def test_surroundings_reach_sixteen_metres_beyond_the_area_and_a_rim_into_it(mid
 
 def test_surroundings_of_tiles_are_those_of_the_area_at_once(middle: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     at_once, grid = read_raster(middle.path(middle.products["prior_surroundings"]))
-    monkeypatch.setattr(priors, "AT_ONCE", 1000)
+    monkeypatch.setattr(tiled, "AT_ONCE", 1000)
     for name, value in {"TILE_CELLS": 64, "OVERLAP_M": 16.0}.items():
         monkeypatch.setattr(tiled, name, value)
     prior(middle, PriorOptions())

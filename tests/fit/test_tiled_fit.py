@@ -25,8 +25,8 @@ from sattools.fit.tiles import mosaic
 from sattools.fit.tiles import plan as tile_plan
 from sattools.fit.tiles.shared import Coarse
 from sattools.prior import PriorOptions
+from sattools.prior.cells import grids
 from sattools.prior.files import read_prior
-from sattools.prior.gate import grids
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_raster

@@ -20,8 +20,9 @@ from sattools.fit.inputs import load_prior
 from sattools.fit.options import FitOptions
 from sattools.fit.surface.schedule import own_cell
 from sattools.prior import PriorOptions, stage
+from sattools.prior.cells import grids
 from sattools.prior.files import MapFiles
-from sattools.prior.gate import check_start, grids
+from sattools.prior.gate import check_start
 from sattools.prior.stage import prior
 from sattools.progress import silent
 from sattools.radiometry.options import NormaliseOptions

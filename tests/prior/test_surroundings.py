@@ -96,7 +96,7 @@ def test_a_wide_reach_brings_a_small_area_nearer_to_the_larger_one(middle: Any) 
 def test_tiles_reach_into_the_surroundings_and_their_maps_do_not(middle: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     scene, expected = middle
     at_once = differing(scene, expected)
-    monkeypatch.setattr(priors, "AT_ONCE", 1000)
+    monkeypatch.setattr(tiled, "AT_ONCE", 1000)
     for name, value in {"TILE_CELLS": 64, "OVERLAP_M": 16.0}.items():
         monkeypatch.setattr(tiled, name, value)
     assert differing(scene, expected) < at_once + 0.05  # tiles see less around them
@@ -127,7 +127,7 @@ def test_shares_are_of_the_area_where_images_have_no_data_beyond(
     middle: Any, at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene, _ = middle
-    monkeypatch.setattr(priors, "AT_ONCE", at_once)
+    monkeypatch.setattr(tiled, "AT_ONCE", at_once)
     grid, (low, high) = scene.require_grid(), scene.require_height_range()
     west, south, east, north = grid.widened(round(3 / grid.cell_size)).bounds
     for item in scene.train_items():

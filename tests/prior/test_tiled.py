@@ -17,7 +17,7 @@ from sattools.scene.tiles import make_tiles
 
 def cut_small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tiles of 48 cells that reach 12 into their neighbours, and maps of 4 kB that go to files."""
-    monkeypatch.setattr(priors, "AT_ONCE", 1000)
+    monkeypatch.setattr(tiled, "AT_ONCE", 1000)
     for name, value in {"TILE_CELLS": 48, "OVERLAP_M": 6.0, "OVERLAP_CELLS": 12}.items():
         monkeypatch.setattr(tiled, name, value)
     for name, value in {"HELD": 4_000, "PIECE_CELLS": 2_000}.items():
@@ -130,7 +130,7 @@ def test_where_too_few_images_show_a_tile_heights_are_coarse_and_not_trusted(
     [(1042, [521, 521]), (1400, [466, 467, 467]), (770, [385, 385]), (767, [767]), (20, [20]), (5208, [520, 521])],
 )
 def test_tiles_along_an_axis_are_of_one_length(cells: int, edges: list[int]) -> None:
-    edge = tiled._edge(cells)
+    edge = tiled._edge(cells, 512)
     grid = Grid("EPSG:32633", 0.0, 0.0, 1.0, cells, 1500)
     tiles = make_tiles(grid, (500.0, float(edge)), 0.0, 1.0)
     assert sorted({tile.grid.width for tile in tiles if tile.name.startswith("r0")}) == sorted(set(edges))

@@ -9,7 +9,7 @@ from sattools.errors import SceneError
 from sattools.fit.options import FitOptions
 from sattools.fit.surface.passes import cells_of, epochs_of
 from sattools.fit.surface.trainer import StageSettings
-from sattools.prior.gate import grids
+from sattools.prior.cells import grids
 from sattools.prior.options import PriorOptions
 from sattools.scene import Scene
 

@@ -29,6 +29,7 @@ MANY_PLANES = 160  # from this number of heights on, blocks that look near their
 BLOCK = 384  # cells of such a block
 LEAST_HIDDEN = 0.05  # weight, at least, of an image that does not see a place, in the mean that shows it
 PLANES = np.empty((0, 0), np.float32)  # no surface to which heights are relative
+VOLUMES_B = 12  # bytes of a cell and height: three volumes of single precision live at a time
 OVERLAP = 32  # cells by which blocks overlap: paths of the aggregation forget where they came from over this distance
 
 
@@ -75,6 +76,20 @@ def _blocks(shape: tuple[int, int], volume: int, planes_wanted: int, guided: boo
         for r in range(0, rows, high)
         for c in range(0, cols, wide)
     ]
+
+
+def volume_bytes(shape: tuple[int, int], count: int, limit_mb: float, guided: bool) -> float:
+    """Bytes that a pass takes for agreements and costs of its largest block.
+
+    Args:
+        shape: (rows, columns) of the grid.
+        count: of the heights over the whole grid.
+        limit_mb: above which the grid is cut into blocks [MB].
+        guided: see `_blocks`.
+    """
+    blocks = _blocks(shape, int(limit_mb * 1e6 / VOLUMES_B), count, guided)
+    edges = [[min(part.stop - part.start + 2 * OVERLAP, n) for part, n in zip(block, shape)] for block in blocks]
+    return float(VOLUMES_B * count * max(rows * cols for rows, cols in edges))
 
 
 @dataclass(frozen=True)
@@ -133,8 +148,7 @@ def sweep_blocks(
     """
     frame, step, margin = task.frame, task.step, task.frame.margin
     wanted = len(planes(task.z_range, step))
-    # three volumes of single precision live at a time
-    blocks = _blocks(frame.shape, int(task.options.memory * 1e6 / 12), wanted, guide is not None)
+    blocks = _blocks(frame.shape, int(task.options.memory * 1e6 / VOLUMES_B), wanted, guide is not None)
     maps: tuple[np.ndarray, ...] = tuple(np.empty(frame.shape, np.float32) for _ in range(3))
     for k, (rows, cols) in enumerate(blocks):
         progress(
@@ -331,4 +345,5 @@ __all__ = [
     "planes",
     "sweep",
     "sweep_blocks",
+    "volume_bytes",
 ]
