@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sattools import system
 from sattools.camera.rpc import RPC
 from sattools.errors import SattoolsError, counted
 from sattools.prior import tiled
@@ -22,7 +23,8 @@ from sattools.scene.memory import available, check_memory, to_spend
 
 log = logging.getLogger(__name__)
 # Measured on one thread, 3 to 36 simulated images on 0.06 to 1.1 million cells
-BASE_BYTES = 200e6
+BASE_BYTES = 250e6  # of the program
+COMMON_BYTES = 40e6  # of what tiles have in common, beside their images on coarse cells
 BYTES_PER_IMAGE = 40.0  # per cell that is matched and image: what it shows, what hides it, where its rays end
 BYTES_PER_BAND = 8.0  # and per band
 KEPT_HEIGHTS = 2 / 3  # of the height range, which is left when the first pass has seen the surface
@@ -178,7 +180,7 @@ def _planned(scene: Scene, items: list[Item], wide: Grid, options: PriorOptions,
     most = _part_bytes(scene, items, max(parts, key=lambda part: part.width * part.height), options)
     if tiles:  # the images of all of them are held on coarse cells
         coarse = tiled.coarse_of(wide, tiles)
-        most += coarse.width * coarse.height * BYTES_PER_BAND * sum(_bands(item) for item in items)
+        most += COMMON_BYTES + coarse.width * coarse.height * BYTES_PER_BAND * sum(_bands(item) for item in items)
     cells = sum(part.width * part.height for part in parts)
     seconds = START_S + cells * seconds_per_cell(scene, items, wide.cell_size, options)
     return MatchingPlan(edge, len(parts), BASE_BYTES + most, seconds, edge)
@@ -215,8 +217,8 @@ def _off_nadir(item: Item) -> float:
 
 
 def _beyond_start(plan: MatchingPlan) -> float:
-    """Bytes that are still to be taken by a program that has started."""
-    return plan.memory - BASE_BYTES
+    """Bytes that are still to be taken by a program that has started, and has not loaded all that it needs."""
+    return plan.memory - min(BASE_BYTES, system.memory_taken())
 
 
 __all__ = [
