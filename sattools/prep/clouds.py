@@ -4,7 +4,8 @@ Two things tell a cloud from bright ground: it is not there on another date, and
 show. Tie points, which lie on the ground, say how bright the ground is in one image where it is so in another; a coarse
 look at the ground on horizontal planes then finds, for every place of an image, the height at which it differs least
 from the darker ones of the images that show it. What is large, and brighter than nearly all of the ground by as much as
-that is brighter than usual ground, is a cloud (or glare on water, which is as useless). Thin clouds and shadows of
+that is brighter than usual ground, is a cloud (or glare on water, which is as useless). Of two images the brighter is
+taken to be clouded: what differs so much at all heights cannot be matched, whatever it is. Thin clouds and shadows of
 clouds show the ground, which matching copes with.
 """
 
@@ -23,7 +24,7 @@ from sattools.camera.tracks import Tracks
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Gray = NDArray[np.float32]
-ODD_ONE = 3  # images that have to show a place: of two nobody knows which is right
+ODD_ONE = 3  # images that show a place, of which one may be odd; of two the brighter is
 _CANDIDATES = 200  # pairs of tie points that lines are drawn through
 # what counts as a cloud; brightness in units of what the brightest tenth of the ground has above usual ground
 BRIGHTER = 1.0  # than the others, and than usual ground
@@ -31,6 +32,7 @@ EDGE = 0.4  # the same at the edge of a cloud
 WIDTH_M = 12.0  # it is nowhere narrower
 AREA_M2 = 1500.0  # of one, or a quarter of the area: a roof that shines in one image is smaller
 ANOTHER_M2 = 300.0  # of the others beside it
+PATCH_M = 6.0  # heights are tried with what lies around: single pixels find their like at one of many
 MARGIN_M = 5.0  # around it: it thins out
 CELL_M, MAX_CELLS, MAX_PLANES = 2.0, 60_000, 48  # of the look at the ground
 DARKER = 0.4  # share of the images at a place that are darker than what it is taken to be: clouds are bright
@@ -57,7 +59,7 @@ class _Look:
     """What is found in the images at a common brightness.
 
     ``excess``: per image, coarse pixels ``[h, w]`` by which it is brighter than the others at the best height, inf
-    where fewer than two others show the place. ``bright``: the same pixels' own brightness. ``usual``, ``scale``: that
+    where no other shows the place. ``bright``: the same pixels' own brightness. ``usual``, ``scale``: that
     of half of the ground, and by how much that of a tenth is above. ``step``: pixels along the edge of a coarse one,
     ``metres``: that edge on the ground.
     """
@@ -225,11 +227,12 @@ def _look(images: Sequence[Gray], ground: GroundPlanes, cell: float) -> _Look | 
     for k in range(len(ground.heights)):
         shown = np.stack([ground.shown(image, view, k) for view, image in enumerate(images)])
         count = np.isfinite(shown).sum(axis=0)
-        # two images are darker, so that two are left wherever clouds are masked
-        rank = np.clip((DARKER * (count - 1)).astype(int), 1, len(images) - 1)
+        # of three or more images two are darker, so that two are left wherever clouds are masked
+        rank = np.where(count < ODD_ONE, 0, np.clip((DARKER * (count - 1)).astype(int), 1, len(images) - 1))
         others = np.take_along_axis(np.sort(shown, axis=0), rank[None], axis=0)[0]  # NaN last
         levels.append(others[count >= 2])
-        difference = np.where(np.isfinite(shown) & (count >= ODD_ONE), shown - others, np.float32(np.inf))
+        difference = np.where(np.isfinite(shown) & (count >= 2), shown - others, np.float32(np.nan))
+        difference = np.stack([_mean_around(d, PATCH_M / cell) for d in difference])
         for view, step in enumerate(steps):
             blocks = np.array([[step, 0, (step - 1) / 2], [0, step, (step - 1) / 2], [0, 0, 1.0]])
             to_cells = cv2.invertAffineTransform(ground.to_image(view, k)) @ blocks
@@ -246,6 +249,18 @@ def _look(images: Sequence[Gray], ground: GroundPlanes, cell: float) -> _Look | 
     both = zip(images, shapes, strict=True)
     bright = [np.asarray(cv2.resize(s, shape[::-1], interpolation=cv2.INTER_AREA), np.float32) for s, shape in both]
     return _Look(excess, bright, float(usual), max(float(high - usual), 1e-6), steps, metres)
+
+
+def _mean_around(difference: Gray, width: float) -> Gray:
+    """Mean of what is known ``[h, w]`` within a square; inf where that is less than half of it."""
+    import cv2
+
+    size = (max(1, round(width)),) * 2
+    known = np.isfinite(difference)
+    share = cv2.blur(known.astype(np.float32), size)
+    total = cv2.blur(np.where(known, difference, np.float32(0.0)), size)
+    enough = known & (share >= 0.5)
+    return np.where(enough, total / np.maximum(share, 0.5), np.float32(np.inf))
 
 
 def _pixels_of_a_cell(ground: GroundPlanes, view: int) -> float:

@@ -83,9 +83,9 @@ def test_a_cloud_is_found_in_the_images_that_show_it(plain: Any, points: Tracks,
         assert cloud is not None
         mask = pixels(cloud, inside.shape)
         assert mask[inside].mean() > 0.97
-        _, wide = covered(plain[0], 28.0 + 12.0)  # a margin of 6 m, blocks of 2 m and what is blurred
+        _, wide = covered(plain[0], 28.0 + 15.0)  # a margin of 6 m, half a patch, blocks of 2 m and what is blurred
         assert not mask[~wide].any()
-        assert cloud.share == pytest.approx(np.pi * 34.0**2 / 1e4, abs=0.1)
+        assert cloud.share == pytest.approx(np.pi * 37.0**2 / 1e4, abs=0.1)
 
 
 def test_many_images_are_held_once_more_while_clouds_are_looked_for(plain: Any, points: Tracks) -> None:
@@ -185,11 +185,15 @@ def test_two_images_are_left_wherever_clouds_are_masked(plain: Any, points: Trac
     assert found(images, points) == [None] * 5
 
 
-def test_of_two_images_nobody_knows_which_is_right(plain: Any, points: Tracks) -> None:
-    """A field may be mown in one of them."""
+def test_of_two_images_the_one_that_shows_white_at_whatever_height_is_clouded(plain: Any, points: Tracks) -> None:
+    """Nothing but a cloud is likely to be so large; what is not cannot be matched either."""
     images = [image if view < 2 else np.full_like(image, np.nan) for view, image in enumerate(plain)]
-    images[1], _ = covered(plain[1], 28.0)
     assert found(images, points) == [None] * 5
+    images[1], inside = covered(plain[1], 28.0)
+    clouds = found(images, points)
+    assert [cloud is not None for cloud in clouds] == [False, True, False, False, False]
+    assert clouds[1] is not None
+    assert pixels(clouds[1], inside.shape)[inside].mean() > 0.97
 
 
 @given(
