@@ -47,7 +47,10 @@ class PriorOptions:
     )
     noise: float = option(0.005, "Contrast below which no structure is asked for (radiance).", minimum=1e-6)
     brightness: float = option(
-        0.1, "Difference of radiance at which two images agree by half; three times as much on hills.", minimum=1e-6
+        0.1,
+        "Difference of radiance at which two images agree by half; three times as much on hills, up to twice where "
+        "few images agree about little.",
+        minimum=1e-6,
     )
     unseen: float = option(
         0.35,

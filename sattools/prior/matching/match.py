@@ -52,6 +52,8 @@ SLOPES_DEG = (8.0, 50.0)  # steeper than what is built level, less steep than wa
 HILLS = (0.58, 0.65)  # share of the sure cells that are such slopes: up to the first a town, from the second on hills
 HILLS_PAIRS = 10  # pairs without which slopes are not believed: old towns in three views look like hills
 HILLS_UNLIKE = 3.0  # factor of `brightness` and `edges` there: seen from nearer to the sun open ground is brighter
+AGREED = (0.55, 0.75)  # share of what two images show that few pairs agree about: up to the first they are unlike
+UNLIKE = 2.0  # factor of `brightness` there, none from the second share on
 
 
 @dataclass(frozen=True)
@@ -188,6 +190,22 @@ def how_hilly(height: np.ndarray, sure: np.ndarray, cell: float) -> float:
     return min(max((share - HILLS[0]) / (HILLS[1] - HILLS[0]), 0.0), 1.0)
 
 
+def how_unlike(frame: Frame, height: np.ndarray, sure: np.ndarray, tolerance: float) -> float:
+    """How unlike images are that show one surface: 0 as they mostly are, 1 very; by what they agree about.
+
+    Seasons, haze, clouds' shadows and what shines make them so. Of many pairs some are alike everywhere.
+
+    Args:
+        frame: the views.
+        height: ``[H, W]`` rough surface [m].
+        sure: ``[H, W]`` bool, where the images agree about it.
+        tolerance: depth below the visible surface that still counts as seen [m].
+    """
+    shown = within_images(frame, height, tolerance).sum(axis=0) >= 2
+    share = float(np.mean(sure[shown])) if shown.any() else 1.0
+    return min(max((AGREED[1] - share) / (AGREED[1] - AGREED[0]), 0.0), 1.0)
+
+
 def for_hills(options: PriorOptions, hills: float) -> PriorOptions:
     """The options for ground that rises and falls.
 
@@ -219,7 +237,12 @@ def _known_ground(rough: MatchTask, found: np.ndarray, height: np.ndarray, sure:
     z_range = narrow(height[sure], rough.z_range, KEEP_PLANES * rough.step, rough.step)
     hills = how_hilly(found, sure, rough.frame.cell) if len(rough.pairs) >= HILLS_PAIRS else 0.0
     robust = rough.robust or (len(rough.pairs) >= TOWN_PAIRS and hills == 0)
-    return replace(rough, z_range=z_range, options=for_hills(rough.options, hills), hills=hills, robust=robust)
+    options = for_hills(rough.options, hills)
+    if len(rough.pairs) < ROBUST_PAIRS:
+        unlike = how_unlike(rough.frame, height, sure, options.tolerance)
+        brightness = rough.options.brightness * (1 + unlike * (UNLIKE - 1))
+        options = replace(options, brightness=max(options.brightness, brightness))
+    return replace(rough, z_range=z_range, options=options, hills=hills, robust=robust)
 
 
 def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, RoughSurface]:
