@@ -52,7 +52,7 @@ def test_each_command_is_a_process_with_its_own_lines_and_exit_status(launcher: 
 
 def test_nothing_of_a_command_is_left_for_the_next(launcher: Launcher, make_town: Any) -> None:
     document = str(make_town().root / "scene.json")
-    _, lines, _ = run(launcher, "--max-memory", "100", "-vv", "fit", "--dry-run", document)
+    _, lines, _ = run(launcher, "--max-memory", "1000", "-vv", "fit", "--dry-run", document)
     before = "".join(lines)
     assert "would fit" in before
     _, lines, _ = run(launcher, "--quiet", "fit", "--dry-run", document)
