@@ -13,6 +13,7 @@ from sattools.prior.cells import grids
 from sattools.prior.files import MAPS, SURROUNDINGS
 from sattools.prior.foresight import check_fits, plan_matching, warn_of_tiles
 from sattools.prior.matched import matching_height
+from sattools.prior.matching.match import PLANE_CELLS
 from sattools.prior.matching.pairs import choose_pairs
 from sattools.prior.options import PriorOptions
 from sattools.prior.surroundings import with_surroundings
@@ -41,8 +42,8 @@ def check_start(scene: Scene, options: PriorOptions, overwrite: bool = True) -> 
     items = scene.train_items()
     may_begin(scene, "prior", outputs(items, options), overwrite)
     check_count(scene, items)
-    check_step(scene, options)
     grid, fine = grids(scene, items, options)
+    check_step(scene, options, fine.cell_size)
     warn_of_window(scene, fine, options)
     warn_of_base(scene, items)
     z_range = scene.require_height_range()
@@ -65,13 +66,20 @@ def check_count(scene: Scene, items: list[Item]) -> None:
         raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
 
 
-def check_step(scene: Scene, options: PriorOptions) -> None:
-    """Raise SceneError for height planes further apart than the heights: planes beyond them would be all there is."""
+def check_step(scene: Scene, options: PriorOptions, cell: float) -> None:
+    """Raise SceneError for height planes further apart than the heights: planes beyond them would be all there is.
+
+    Args:
+        scene: with its height range.
+        options: of the matching.
+        cell: of the surface [m].
+    """
     low, high = scene.require_height_range()
-    if options.step and options.step > high - low:
-        raise SceneError(
-            f"scene {scene.id}: found --step {options.step:g} m, expected at most the height range, {high - low:g} m"
-        )
+    least = options.step or PLANE_CELLS * cell * options.detail
+    if least > high - low:
+        what = f"--step {least:g} m" if options.step else f"cells of {cell:g} m, whose planes are {least:g} m apart"
+        more = "" if options.step else " (--resolution)"
+        raise SceneError(f"scene {scene.id}: found {what}, expected at most the height range, {high - low:g} m{more}")
 
 
 def warn_of_window(scene: Scene, grid: Grid, options: PriorOptions) -> list[str]:

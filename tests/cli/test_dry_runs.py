@@ -54,6 +54,7 @@ def fitted(fitted_source: Path, tmp_path: Path) -> Path:
         (["--preset", "rpv-nerf", "--brdf", "hapke"], "network rpv has no head for it, expected --network hapke"),
         (["--preset", "eonerf", "--shadow", "learned"], "network eonerf has no head for it"),
         (["--preset", "eonerf", "--sky", "auto"], "--sky: found --brdf lambert and --field mlp"),
+        (["--sky-share", "0.03"], "--sky-share: found --brdf lambert and --field surface"),
         (["--preset", "spsnerf", "--prior-weight", "0"], "--guided: found no prior to sample around"),
         (["--preset", "satnerf", "--transient", "auto"], "--transient auto: expected --field surface"),
         (["--field", "neural", "--start", "noise"], "--field neural: found --start noise"),

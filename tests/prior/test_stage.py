@@ -86,6 +86,9 @@ def test_planes_further_apart_than_the_heights_are_refused(make_town: Any) -> No
     for refuse in (check_start, prior):
         with pytest.raises(SceneError, match=r"found --step 50 m, expected at most the height range, 49 m"):
             refuse(scene, PriorOptions(step=50.0))
+        told = r"cells of 40 m, whose planes are 56 m apart, expected at most the height range, 49 m \(--resolution\)"
+        with pytest.raises(SceneError, match=told):
+            refuse(scene, PriorOptions(resolution=40.0))
     assert "prior_dsm" not in scene.products
 
 

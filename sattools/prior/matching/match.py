@@ -47,6 +47,7 @@ SURE = 0.5  # agreement above which a cell of the first pass says where the surf
 CONVERGED = 0.002  # share of cells that may still change when the rough passes stop
 LEAST_ERODED = 1.0  # cells by which the surface is eroded where `erode` is less
 OPENING_PASSES = 1  # rough passes after which roofs of courtyards are looked for
+PLANE_CELLS = 2  # least distance of the height planes, in cells
 SMOOTH = 3  # cells of the median filter that ends it all
 SLOPES_DEG = (8.0, 50.0)  # steeper than what is built level, less steep than walls
 HILLS = (0.58, 0.65)  # share of the sure cells that are such slopes: up to the first a town, from the second on hills
@@ -298,9 +299,9 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
 
 
 def plane_distance(frame: Frame, pairs: np.ndarray) -> float:
-    """Distance of the height planes [m]: two cells, or more where no pair moves by one cell over that distance."""
+    """Distance of the height planes [m]: `PLANE_CELLS`, or more where no pair moves by one cell over that distance."""
     apart = np.abs(frame.parallax[pairs[:, 0]] - frame.parallax[pairs[:, 1]])  # [P, 2] cells per metre
-    return max(2 * frame.cell, 1.0 / float(np.linalg.norm(apart, axis=1).max()))
+    return max(PLANE_CELLS * frame.cell, 1.0 / float(np.linalg.norm(apart, axis=1).max()))
 
 
-__all__ = ["Match", "margin_for", "match"]
+__all__ = ["PLANE_CELLS", "Match", "margin_for", "match"]
