@@ -36,7 +36,8 @@ def check_sky(options: FitOptions, bands: int | None) -> None:
     if options.brdf == "lambert" or options.field != "surface":
         asked = "--sky" if options.sky != "none" else "--sky-share"
         raise SceneError(
-            f"{asked}: found --brdf {options.brdf} and --field {options.field}, expected rpv, hapke or auto on a surface"
+            f"{asked}: found --brdf {options.brdf} and --field {options.field}, expected rpv, hapke or auto on a "
+            "surface"
         )
     if bands is not None and options.sky_share and len(options.sky_share) not in (1, bands):
         raise SceneError(
