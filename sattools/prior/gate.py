@@ -43,18 +43,17 @@ def check_start(scene: Scene, options: PriorOptions, overwrite: bool = True) -> 
     may_begin(scene, "prior", outputs(items, options), overwrite)
     check_count(scene, items)
     grid, fine = grids(scene, items, options)
-    check_step(scene, options, fine.cell_size)
     warn_of_window(scene, fine, options)
     warn_of_base(scene, items)
     z_range = scene.require_height_range()
     images = open_images(scene, items)
+    check_extent(grid)
+    check_step(scene, options, fine.cell_size)
     shapes = [image.shape for image in images.parts]
     wide = with_surroundings(fine, images.cameras, shapes, matching_height(z_range), scene.surroundings_m)
     plan = plan_matching(scene, items, fine, wide, options)
     check_fits(scene, plan, len(items))
     warn_of_tiles(scene, plan)
-    if plan.edge is None:
-        check_extent(grid)
     slopes = [line_of_sight(camera, fine, z_range[0], z_range)[0] for camera in images.cameras]
     if not len(choose_pairs(slopes, [None] * len(items), options.pairs)):
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")

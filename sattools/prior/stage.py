@@ -78,12 +78,13 @@ def prior(
     check_count(scene, items)
     read = seen(scene, "prior", items)
     grid, fine = grids(scene, items, options)
-    check_step(scene, options, fine.cell_size)
     z_range = scene.require_height_range()
     notes = warn_of_window(scene, fine, options) + warn_of_base(scene, items)
     progress(0.0, "reading images")
     part = subprogress(progress, 0.2, 0.9)
     images = open_images(scene, items)  # which looks at the scene's own grid
+    check_extent(grid)
+    check_step(scene, options, fine.cell_size)
     shapes = [image.shape for image in images.parts]
     wide = with_surroundings(fine, images.cameras, shapes, matching_height(z_range), scene.surroundings_m)
     if wide != grid:
@@ -94,7 +95,6 @@ def prior(
     if plan.edge:
         found = match_tiles(scene, items, fine, wide, options, part, edge=plan.edge)
     else:
-        check_extent(grid)
         sources = load_sources(replace(scene, grid=wide), items, images) if sources is None else sources
         notes += [] if implicit else warn_of_blank(sources)  # the stage that asks for it tells of its images itself
         found = match_area(sources, wide, z_range, options, part, of=fine)
