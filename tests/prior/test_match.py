@@ -18,7 +18,7 @@ from sattools.prior.matching.match import _prepared, _rough_passes, for_hills, h
 from sattools.prior.matching.penalties import penalties
 from sattools.prior.matching.sweep import BLOCK, FEW_PAIRS, MatchTask, _blocks, pair_weights
 from sattools.prior.options import PriorOptions
-from sattools.prior.visibility.consistency import filled
+from sattools.prior.visibility.consistency import filled, supported
 from sattools.prior.visibility.occlusion import disk, erode
 from sattools.progress import silent
 
@@ -245,10 +245,11 @@ def test_hills_let_views_differ_in_brightness() -> None:
     assert for_hills(options, 0.0) == options
 
 
-def test_a_town_of_few_views_is_robust_once_it_is_known_to_be_one() -> None:
-    """Fourteen pairs of six views: on level ground they outvote chance, on a slope they are asked as few are."""
+@pytest.mark.parametrize("count", [14, FEW_PAIRS])
+def test_a_town_of_few_views_is_robust_once_it_is_known_to_be_one(count: int) -> None:
+    """On level ground many pairs or four outvote chance, on a slope they are asked as few are."""
     slopes = [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.4, -0.3), (0.3, -0.5), (-0.3, 0.4)]
-    pairs = np.array(list(itertools.combinations(range(6), 2)), np.int64)[:14]
+    pairs = np.array(list(itertools.combinations(range(6), 2)), np.int64)[:count]
     level = np.zeros((84, 60))
     level[30:50, 20:40] = 6.0
     hill = np.tile(0.15 * np.arange(60.0), (84, 1))  # 17 degrees on cells of half a metre
@@ -257,8 +258,28 @@ def test_a_town_of_few_views_is_robust_once_it_is_known_to_be_one() -> None:
         assert not task.robust
         known, _ = _rough_passes(task, silent)
         assert known.robust == robust
-    known, _ = _rough_passes(_prepared(views_of(level, slopes), pairs[:11], RANGE, PriorOptions()), silent)
-    assert not known.robust  # eleven pairs stay few
+    known, _ = _rough_passes(_prepared(views_of(level, slopes), pairs[: FEW_PAIRS - 1], RANGE, PriorOptions()), silent)
+    assert not known.robust  # those of three views
+
+
+@pytest.mark.parametrize(("pairs", "asked"), [(ALL, True), (ALL[:4], False)])
+def test_of_few_pairs_what_stands_is_alike_around_it(pairs: Any, asked: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where twelve pairs decide, four views do not agree by chance unless in shadow; fewer pairs are not believed."""
+    from sattools.prior.matching import match as module
+
+    shades: list[bool] = []
+
+    def spy(*arguments: Any) -> Any:
+        shades.extend(one is not None for one in arguments[4:])  # of the last pass
+        return supported(*arguments)
+
+    level = np.zeros((84, 60))
+    level[30:50, 20:40] = 6.0
+    frame = views_of(level, [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.4, -0.3), (0.3, -0.5), (-0.3, 0.4)])
+    monkeypatch.setattr(module, "supported", spy)
+    monkeypatch.setattr(module, "CHANCE_PAIRS", 10)  # those of five views
+    match(frame, pairs, RANGE, PriorOptions())
+    assert shades == [asked]
 
 
 @pytest.mark.parametrize(("pairs", "walls"), [(ALL, False), (ALL[:9], True)])

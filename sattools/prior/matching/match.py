@@ -13,9 +13,9 @@ from sattools.prior.matching.equalise import brightened, equally_bright, equally
 from sattools.prior.matching.subplane import refine_subplane
 from sattools.prior.matching.sweep import (
     BEYOND_PLANES,
+    FEW_PAIRS,
     KEEP_PLANES,
     ROBUST_PAIRS,
-    TOWN_PAIRS,
     MatchTask,
     narrow,
     sweep_blocks,
@@ -51,6 +51,7 @@ PLANE_CELLS = 2  # least distance of the height planes, in cells
 SMOOTH = 3  # cells of the median filter that ends it all
 SLOPES_DEG = (8.0, 50.0)  # steeper than what is built level, less steep than walls
 HILLS = (0.58, 0.65)  # share of the sure cells that are such slopes: up to the first a town, from the second on hills
+CHANCE_PAIRS = 12  # pairs below which what views agree about may be chance, in towns, too
 HILLS_PAIRS = 10  # pairs without which slopes are not believed: old towns in three views look like hills
 HILLS_UNLIKE = 3.0  # factor of `brightness` and `edges` there: seen from nearer to the sun open ground is brighter
 AGREED = (0.55, 0.75)  # share of what two images show that few pairs agree about: up to the first they are unlike
@@ -134,13 +135,14 @@ def match(
     agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
     # beyond the images nothing is known that could be on the lower side of anything
     beyond_images = np.asarray(~within_images(frame, height, tolerance).any(axis=0))
-    shaded = mostly_shaded(frame, visibility, height, tolerance) if task.robust else None
+    chance = not task.robust or len(pairs) < CHANCE_PAIRS
+    shaded = None if chance else mostly_shaded(frame, visibility, height, tolerance)
     stands = supported(standing(agreeing, views, beyond_images), height, agreeing, frame.cell, shaded)
     many_in_town = len(pairs) >= ROBUST_PAIRS and task.hills == 0
     if many_in_town and shaded is not None:
         stands |= stands_alone(height, agreeing, views, frame.cell) & ~shaded
     lowered = filled(height, stands, frame.cell)
-    if not task.robust:
+    if chance:
         lowered = without_lumps(lowered, stands, frame.cell)
     if many_in_town:
         whole = pieces_of_roofs(height, lowered, stands, agreeing / np.maximum(views, 1), frame.cell)
@@ -236,8 +238,9 @@ def _known_ground(rough: MatchTask, found: np.ndarray, height: np.ndarray, sure:
         sure: ``[H, W]`` bool, where the images agree.
     """
     z_range = narrow(height[sure], rough.z_range, KEEP_PLANES * rough.step, rough.step)
-    hills = how_hilly(found, sure, rough.frame.cell) if len(rough.pairs) >= HILLS_PAIRS else 0.0
-    robust = rough.robust or (len(rough.pairs) >= TOWN_PAIRS and hills == 0)
+    slopes = how_hilly(found, sure, rough.frame.cell)  # few pairs are not believed, but hills there may be
+    hills = slopes if len(rough.pairs) >= HILLS_PAIRS else 0.0
+    robust = rough.robust or (len(rough.pairs) >= FEW_PAIRS and slopes == 0)
     options = for_hills(rough.options, hills)
     if len(rough.pairs) < ROBUST_PAIRS:
         unlike = how_unlike(rough.frame, height, sure, options.tolerance)

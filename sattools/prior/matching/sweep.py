@@ -17,8 +17,7 @@ from sattools.prior.visibility.occlusion import Visibility, dark_noise
 from sattools.progress import Progress, silent
 
 ROBUST_PAIRS = 30  # pairs from which on the mean over them is robust
-TOWN_PAIRS = 12  # the same once a rough surface says what hides what, but not on hills
-FEW_PAIRS = 4  # fewer, those of three views, must not be decided by one that is hidden
+FEW_PAIRS = 4  # the same in towns once a rough surface says what hides what; of three, one that is hidden would decide
 BEYOND_PLANES = 2  # planes above the height range, at most (one below)
 KEEP_PLANES = 3  # planes kept above and below what was found
 REACH_M = 6.0  # distance within which heights of an earlier pass may turn out to be a cell's own
@@ -322,8 +321,8 @@ def pair_weights(task: MatchTask) -> tuple[int, np.float32, np.float32]:
     """Half the exponent of the mean over the pairs, weight of hidden views, and of pairs in different light.
 
     Many pairs outvote what the surface of an earlier pass got wrong. Among fewer, one that agrees by chance would
-    decide, so there the mean is a root mean square, and among three, or on hills, where little is hidden, the hidden
-    pair would: there it is one of what is surely seen.
+    decide before it is known what hides what, so there the mean is a root mean square, and among three, or on hills,
+    where little is hidden, the hidden pair would: there it is one of what is surely seen.
     """
     weak, mixed = np.float32(task.options.weak), np.float32(task.options.mixed)
     if task.robust and not task.by_most:
@@ -335,9 +334,9 @@ def pair_weights(task: MatchTask) -> tuple[int, np.float32, np.float32]:
 
 __all__ = [
     "BEYOND_PLANES",
+    "FEW_PAIRS",
     "KEEP_PLANES",
     "ROBUST_PAIRS",
-    "TOWN_PAIRS",
     "MatchTask",
     "agreement",
     "narrow",
