@@ -33,11 +33,12 @@ def _on_cells(writes: str, memory: float, start_s: float, cell_s: float, image_s
     return said
 
 
-def of_prior(options: PriorOptions) -> Plan:
+def of_prior(options: PriorOptions, overwrite: bool = True) -> Plan:
     """Of `prior`.
 
     Args:
         options: of the matching.
+        overwrite: it begins anew.
     """
 
     def said(scene: Scene) -> str:
@@ -45,8 +46,9 @@ def of_prior(options: PriorOptions) -> Plan:
 
         if scene.grid is None or scene.height_range_m is None:
             return "writes prior/"
-        plan = foresee_matching(scene, options)
-        tiles = f", in {counted(plan.tiles, 'tiles')}" if plan.edge else ""
+        plan = foresee_matching(scene, options, overwrite)
+        done = f" ({plan.done} of them matched before)" if plan.done else ""
+        tiles = f", in {counted(plan.tiles, 'tiles')}{done}" if plan.edge else ""
         return f"{_size(scene)}{tiles}: {takes(plan.memory, plan.cpu_s)}; writes prior/"
 
     return said

@@ -155,6 +155,7 @@ def load_prior(
     """
     if options.prior_weight == 0:
         return None, {}
+    anew = overwrite and not options.resume
     overwrite = forget_left_over(scene) or overwrite
     check_prior(scene, options)
     from sattools.prior.files import read_prior
@@ -165,7 +166,8 @@ def load_prior(
         from sattools.prior.stage import prior
 
         with saying_why_anew(scene):
-            new = prior(scene, PriorOptions(), progress, overwrite, implicit=True, sources=sources)[MADE]
+            given = scene, PriorOptions(), progress, overwrite
+            new = prior(*given, implicit=True, sources=sources, anew=anew)[MADE]
     return DepthPrior.from_arrays(*read_prior(scene, _part_of_prior(scene))), new
 
 

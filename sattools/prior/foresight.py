@@ -17,6 +17,7 @@ from sattools.prior.matched import matching_height
 from sattools.prior.matching.match import margin_for
 from sattools.prior.matching.sweep import BEYOND_PLANES, planes, volume_bytes
 from sattools.prior.options import PriorOptions
+from sattools.prior.resume import KeptTiles
 from sattools.prior.surroundings import with_surroundings
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.memory import available, check_memory, to_spend
@@ -45,6 +46,7 @@ class MatchingPlan:
         memory: bytes at a time, those of the program included.
         cpu_s: CPU seconds.
         usual: the edge where memory is no question.
+        done: tiles that an interrupted run has matched.
     """
 
     edge: int | None
@@ -52,29 +54,40 @@ class MatchingPlan:
     memory: float
     cpu_s: float
     usual: int | None
+    done: int = 0
 
 
-def foresee_matching(scene: Scene, options: PriorOptions) -> MatchingPlan:
+def foresee_matching(scene: Scene, options: PriorOptions, overwrite: bool = True) -> MatchingPlan:
     """What `prior` will take, by the scene's document and cameras alone.
 
     Args:
         scene: with a grid and a height range.
         options: of the matching.
+        overwrite: it begins anew, whatever an interrupted one has left.
 
     Raises:
         SceneError: a scene without them.
     """
     items = scene.train_items()
     _, fine = grids(scene, items, options)
-    return plan_matching(scene, items, fine, known_surroundings(scene, items, fine), options)
+    kept = None if overwrite else KeptTiles(scene, items, options, overwrite)
+    return plan_matching(scene, items, fine, known_surroundings(scene, items, fine), options, kept=kept)
 
 
 def plan_matching(
-    scene: Scene, items: list[Item], fine: Grid, wide: Grid, options: PriorOptions, *, whole: bool = False
+    scene: Scene,
+    items: list[Item],
+    fine: Grid,
+    wide: Grid,
+    options: PriorOptions,
+    *,
+    whole: bool = False,
+    kept: KeptTiles | None = None,
 ) -> MatchingPlan:
     """The largest pieces, up to the usual ones, that fit into the memory that there is.
 
-    A tile of a fit is matched as it is wherever it is fitted: its fit was cut to size for what there is.
+    A tile of a fit is matched as it is wherever it is fitted: its fit was cut to size for what there is. What was begun
+    goes on as it was, if there is memory for that.
 
     Args:
         scene: of the images.
@@ -83,10 +96,16 @@ def plan_matching(
         wide: the same with what stands around it.
         options: of the matching.
         whole: all at once is usual whatever its size.
+        kept: tiles that an interrupted run has left; None = none.
     """
     usual = None if whole or fine.width * fine.height <= tiled.AT_ONCE else tiled.TILE_CELLS
-    plan = _planned(scene, items, wide, options, usual)
     free, there = available(), to_spend()
+    if kept and (begun := kept.edge()):
+        plan, done = _planned(scene, items, wide, options, begun), kept.count(begun)
+        if scene.is_part or there is None or _beyond_start(plan) <= there:
+            left = START_S + (plan.cpu_s - START_S) * (plan.tiles - done) / plan.tiles
+            return replace(plan, usual=usual, done=done, cpu_s=left)
+    plan = _planned(scene, items, wide, options, usual)
     if scene.is_part or free is None or there is None or _beyond_start(plan) <= free:
         return plan
     for edge in (tiled.TILE_CELLS, *tiled.SMALLER_CELLS):

@@ -16,6 +16,7 @@ from sattools.prior.matched import matching_height
 from sattools.prior.matching.match import PLANE_CELLS
 from sattools.prior.matching.pairs import choose_pairs
 from sattools.prior.options import PriorOptions
+from sattools.prior.resume import KeptTiles
 from sattools.prior.surroundings import with_surroundings
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.dependencies import may_begin
@@ -40,7 +41,8 @@ def check_start(scene: Scene, options: PriorOptions, overwrite: bool = True) -> 
         overwrite: replace products that are there.
     """
     items = scene.train_items()
-    may_begin(scene, "prior", outputs(items, options), overwrite)
+    kept = KeptTiles(scene, items, options, overwrite)
+    may_begin(scene, "prior", outputs(items, options), kept.may_replace)
     check_count(scene, items)
     grid, fine = grids(scene, items, options)
     warn_of_window(scene, fine, options)
@@ -51,7 +53,7 @@ def check_start(scene: Scene, options: PriorOptions, overwrite: bool = True) -> 
     check_step(scene, options, fine.cell_size)
     shapes = [image.shape for image in images.parts]
     wide = with_surroundings(fine, images.cameras, shapes, matching_height(z_range), scene.surroundings_m)
-    plan = plan_matching(scene, items, fine, wide, options)
+    plan = plan_matching(scene, items, fine, wide, options, kept=None if overwrite else kept)
     check_fits(scene, plan, len(items))
     warn_of_tiles(scene, plan)
     slopes = [line_of_sight(camera, fine, z_range[0], z_range)[0] for camera in images.cameras]

@@ -24,6 +24,7 @@ from sattools.prior.gate import (
 from sattools.prior.matched import Matched, match_area, matching_height
 from sattools.prior.options import PriorOptions
 from sattools.prior.project import seen_by
+from sattools.prior.resume import KeptTiles, remove_tiles
 from sattools.prior.surroundings import with_surroundings
 from sattools.prior.tiled import match_tiles
 from sattools.prior.water import SURE, level_water
@@ -33,6 +34,7 @@ from sattools.scene.dependencies import MADE, begin, record, seen
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.regrid import resize_map
+from sattools.scene.runner import at_the_end
 from sattools.scene.stored import map_like, pieces
 from sattools.views import Opened, Source, load_sources, open_images, warn_of_blank
 from sattools.views.check import check_extent
@@ -55,8 +57,13 @@ def prior(
     overwrite: bool = True,
     implicit: bool = False,
     sources: list[Source] | None = None,
+    *,
+    anew: bool | None = None,
 ) -> JsonObject:
     """Match the scene's training images; writes height, confidence and what follows below ``prior/`` of the root.
+
+    Of what is matched in tiles every one is kept as soon as it is finished, until the surface is there: another run
+    with the same images and options goes on with them.
 
     Args:
         scene: gets the products.
@@ -65,16 +72,20 @@ def prior(
         overwrite: replace products that are there.
         implicit: whether another stage asks for it, which may then make it anew for other images.
         sources: the training images, if they have been read already.
+        anew: take up no tiles of an interrupted run; None = where ``overwrite`` is True.
 
     Returns:
         Notes and figures for the history.
 
     Raises:
         SceneError: fewer than two usable images, or none from different directions.
-        OutputExistsError: a product exists and ``overwrite`` is False.
+        OutputExistsError: a product exists, ``overwrite`` is False, and it was so for the run that goes on here.
     """
     items = scene.train_items()
-    begin(scene, "prior", outputs(items, options), overwrite)
+    if overwrite if anew is None else anew:
+        remove_tiles(scene)
+    kept = KeptTiles(scene, items, options, overwrite)
+    begin(scene, "prior", outputs(items, options), kept.may_replace)
     check_count(scene, items)
     read = seen(scene, "prior", items)
     grid, fine = grids(scene, items, options)
@@ -89,11 +100,11 @@ def prior(
     wide = with_surroundings(fine, images.cameras, shapes, matching_height(z_range), scene.surroundings_m)
     if wide != grid:
         sources = None  # the ones given were read for other cells
-    plan = plan_matching(scene, items, fine, wide, options, whole=sources is not None)
+    plan = plan_matching(scene, items, fine, wide, options, whole=sources is not None, kept=kept)
     check_fits(scene, plan, len(items))
     notes += warn_of_tiles(scene, plan)
     if plan.edge:
-        found = match_tiles(scene, items, fine, wide, options, part, edge=plan.edge)
+        found = match_tiles(scene, items, fine, wide, options, part, edge=plan.edge, kept=kept)
     else:
         sources = load_sources(replace(scene, grid=wide), items, images) if sources is None else sources
         notes += [] if implicit else warn_of_blank(sources)  # the stage that asks for it tells of its images itself
@@ -121,6 +132,7 @@ def prior(
         maps = np.asarray(found.height), np.asarray(found.confidence)
         _per_image(scene, items, images, grid, maps, progress=subprogress(progress, 0.92, 1.0))
     progress(1.0, "matched")
+    at_the_end(lambda: remove_tiles(scene))
     return {
         "notes": notes + _notes(scene, found, len(items), grid),
         "prior": {

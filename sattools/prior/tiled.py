@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,6 +11,7 @@ import numpy as np
 
 from sattools.prior.matched import Matched, make_frame, match_area, matching_height
 from sattools.prior.options import PriorOptions
+from sattools.prior.resume import KeptTiles, MatchedTile
 from sattools.prior.tones import common_balance
 from sattools.progress import Progress, subprogress
 from sattools.scene import Grid, Item, Scene
@@ -26,6 +28,8 @@ OVERLAP_CELLS = 32
 MOST_OVERLAP = 0.4  # of a tile's edge: cells of less than 0.14 m would have more in common than of their own
 LEAST_SHOWN = 0.1  # of a tile that an image must show to be used there
 SAMPLES = 4  # tiles that tell the images' contrast
+
+log = logging.getLogger(__name__)
 
 
 class _Means:
@@ -70,6 +74,7 @@ def match_tiles(
     progress: Progress,
     *,
     edge: int | None = None,
+    kept: KeptTiles | None = None,
 ) -> Matched | None:
     """Match an area tile by tile.
 
@@ -84,6 +89,7 @@ def match_tiles(
         options: of the matching.
         progress: share done.
         edge: about so many cells along that of a tile, without its overlap; None = `TILE_CELLS`.
+        kept: tiles that are finished, which are taken as they are; gets those that are matched.
 
     Returns:
         The maps of ``around``, to be read by rows (`sattools.scene.stored`); None where no two images look from
@@ -92,7 +98,8 @@ def match_tiles(
     Raises:
         SceneError: an image that shows nothing of the area.
     """
-    tiles = tiles_of(around, edge or TILE_CELLS)
+    edge = edge or TILE_CELLS
+    tiles = tiles_of(around, edge)
     z_range = scene.require_height_range()
     coarse = coarse_of(around, tiles)
     sources = _sources(scene, items, coarse)
@@ -100,24 +107,31 @@ def match_tiles(
     balances = _balances(scene, sources, coarse, tiles, unseen, options)
     maps = tuple(new_map(around.shape, np.float32, scene.root) for _ in range(3))
     means, rough = _Means(), None
+    if kept and (count := kept.count(edge)):
+        log.warning("scene %s: goes on with %d of %d tiles that are matched", scene.id, count, len(tiles))
     for k, tile in enumerate(tiles):
         part = subprogress(progress, k / len(tiles), (k + 1) / len(tiles))
         part(0.0, f"tile {k + 1} of {len(tiles)}")
-        own = [item for item in items if item.id not in unseen[tile.name]]
-        found = None
-        if len(own) >= 2:
-            shown = [replace(source, balance=balances[source.id]) for source in _sources(scene, own, tile.grid)]
-            found = match_area(shown, tile.grid, z_range, options, part, of=grid)
+        done = kept.read(tile, edge) if kept else None
+        if done is None:
+            own = [item for item in items if item.id not in unseen[tile.name]]
+            found = None
+            if len(own) >= 2:
+                shown = [replace(source, balance=balances[source.id]) for source in _sources(scene, own, tile.grid)]
+                found = match_area(shown, tile.grid, z_range, options, part, of=grid)
+            if found is not None:
+                done = MatchedTile.of(found)
+            else:
+                rough = rough or match_area(sources, coarse, z_range, options)
+                if rough is None:
+                    return None
+                there = sample_map(rough.height, coarse, tile.grid)
+                done = MatchedTile(there, np.zeros_like(there), None)
+            if kept:
+                kept.keep(tile, edge, done)
         rows, cols = tile.grid.window(grid)
-        means.add(found, (rows.stop - rows.start) * (cols.stop - cols.start))
-        if found is not None:
-            _add(tile, around, maps, found.height, found.confidence)
-            continue
-        rough = rough or match_area(sources, coarse, z_range, options)
-        if rough is None:
-            return None
-        there = sample_map(rough.height, coarse, tile.grid)
-        _add(tile, around, maps, there, np.zeros_like(there))
+        means.add(done.match(), (rows.stop - rows.start) * (cols.stop - cols.start))
+        _add(tile, around, maps, done.height, done.confidence)
     height, confidence, weight = maps
     for rows in pieces(around.shape):
         share = weight[rows]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,8 +17,8 @@ from sattools.processors import side_by_side
 from sattools.radiometry.bands import chosen_bands
 from sattools.radiometry.holes import without_holes
 from sattools.radiometry.linear import eight_bits, linear_radiance, shared_bits
-from sattools.radiometry.saturated import Saturated, conversion_of
-from sattools.scene import Grid, Item, Scene
+from sattools.radiometry.saturated import NOTED, Saturated, conversion_of
+from sattools.scene import Asset, Grid, Item, Scene
 from sattools.scene.pixels import ImagePart, image_part
 from sattools.views.check import check_cells, check_extent, check_scene
 from sattools.views.resample import View, line_of_sight, make_view
@@ -118,6 +118,17 @@ def open_images(scene: Scene, items: Sequence[Item]) -> Opened:
                 f"{part.path}: found {counted(count, 'bands')}, expected {usual} as most of the other images have"
             )
     return Opened(names, cameras, parts, usual)
+
+
+def used_assets(assets: Mapping[str, Asset]) -> list[str]:
+    """Names of the assets of an image whose files `load_sources` reads.
+
+    Args:
+        assets: of the item.
+    """
+    radiance = assets.get("radiance")
+    pixels = ["radiance", *(["image"] if NOTED in radiance.extra else [])] if radiance else ["image"]
+    return ["rpc", *(name for name in pixels if name in assets)]
 
 
 def load_sources(scene: Scene, items: Sequence[Item], opened: Opened | None = None) -> list[Source]:
@@ -270,6 +281,7 @@ __all__ = [
     "check_seen",
     "load_sources",
     "open_images",
+    "used_assets",
     "views_on",
     "warn_of_blank",
     "with_bands",

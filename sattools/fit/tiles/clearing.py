@@ -11,6 +11,7 @@ from sattools.errors import OutputExistsError, SattoolsError, SceneError
 from sattools.fit.files import CHECKPOINT, MODEL, TRACE
 from sattools.fit.tiles.state import COARSE, STATE, read_state
 from sattools.prior.files import MAPS, SURROUNDINGS
+from sattools.prior.resume import kept_in
 from sattools.runlog import NAME
 from sattools.scene import Scene
 from sattools.scene.dependencies import STAGES
@@ -65,7 +66,7 @@ def _made(root: Path) -> Iterator[Path]:
     if not folder.is_dir():
         return
     parts = sorted(path for path in folder.iterdir() if path.is_dir() and _PART.fullmatch(path.name))
-    found = [path for part in parts for path in (*_named(part), *(part / name for name in _IN_PARTS))]
+    found = [path for part in parts for path in (*_named(part), *(part / name for name in _IN_PARTS), *kept_in(part))]
     found += [root / name for name in (COMMON, WHOLE, STATE)]
     yield from (path for path in dict.fromkeys(found) if path.is_symlink() or path.is_file())
 

@@ -30,8 +30,7 @@ from sattools.fit.tiles.state import COARSE, STATE, read_state, write_state
 from sattools.fit.whole import fit_whole
 from sattools.prior.matched import matching_height
 from sattools.progress import Progress, subprogress
-from sattools.radiometry.saturated import NOTED
-from sattools.scene import Asset, Grid, Scene
+from sattools.scene import Grid, Scene
 from sattools.scene.area import wanted_cells
 from sattools.scene.copies import href_of_part, part_copy
 from sattools.scene.dependencies import ALBEDO_SECONDS, PRIOR_SECONDS
@@ -40,7 +39,7 @@ from sattools.scene.files import write_text
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import raster_grid
 from sattools.scene.tiles import Tile, common_cell, make_tiles, reach_beyond
-from sattools.views import BALANCE_PROPERTY, RadiometricBalance, Source, load_sources, views_on
+from sattools.views import BALANCE_PROPERTY, RadiometricBalance, Source, load_sources, used_assets, views_on
 
 log = logging.getLogger(__name__)
 FINE_ENOUGH = 4  # times a tile's cells: cells up to which a fit of the whole shows shadows and shifts of the images
@@ -241,7 +240,7 @@ class Plan:
         options = {name: value for name, value in asdict(self.options).items() if name not in _HOUSEKEEPING}
         scene = self.scene
         items = scene.train_items()
-        paths = [scene.path(item.assets[name].href) for item in items for name in _used(item.assets)]
+        paths = [scene.path(item.assets[name].href) for item in items for name in used_assets(item.assets)]
         paths += [scene.path(scene.products[name]) for name in PRIOR if name in scene.products]
         digests = []
         for path in paths:
@@ -355,12 +354,6 @@ def override_shared(model: FittedModel, pilots: Sequence[FittedModel]) -> Fitted
         if not own:
             shared["pose"][k] = 0.0  # cells of the whole are too large to tell
     return replace(model, **shared, shadow=pilots[0].shadow, transient=pilots[0].transient)
-
-
-def _used(assets: Mapping[str, Asset]) -> list[str]:
-    radiance = assets.get("radiance")
-    pixels = ["radiance", *(["image"] if NOTED in radiance.extra else [])] if radiance else ["image"]
-    return ["rpc", *(name for name in pixels if name in assets)]
 
 
 __all__ = ["Plan"]
