@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from sattools import __version__
 from sattools.batch.configuration import (
@@ -19,91 +19,17 @@ from sattools.batch.configuration import (
     reference_files,
     toml_of,
 )
-from sattools.errors import InputError, SattoolsError
-from sattools.scene.copies import in_another_root
+from sattools.batch.work import Task
+from sattools.errors import InputError
 from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene, check_id
-from sattools.scene.files import remove_orphans, write_text
-from sattools.scene.jsonio import JsonObject, read_json
-from sattools.scene.location import RemotePath
+from sattools.scene.files import write_text
+from sattools.scene.jsonio import read_json
 from sattools.scene.schema import Anything, Items, Table, Text
 
 log = logging.getLogger(__name__)
-_RECORD = Table({"key": Text(), "status": Text(), "scene_json": Text(), "row": Table()}, ("key", "scene_json"))
 _DIGESTS = Table(other=Items(Anything(), 4, 4))
 TILES = "fit/tiles"  # below the folder of a run; see `sattools.fit.tiles.stage`
-
-
-@dataclass(frozen=True)
-class Task:
-    """One unit of work: commands, run one after the other in a folder of its own.
-
-    Attributes:
-        name: for messages.
-        folder: where `task.json`, `config.toml` and the results go.
-        key: hash of everything that the result depends on.
-        scene: id of the scene; configuration: name.
-        out: folder of the batch, which may be moved with all that it holds.
-        commands: arguments of `sattools`, one list a command; `{scene}` stands for the folder's scene.json.
-        config: TOML with the options.
-        source: scene.json to copy, or None where the first command makes the scene.
-        options: of a run, see `options_of`.
-        kind: `prep`, `run` (whose result is a row of the table), or for a fit in tiles before it `coarse`, `tile` (of
-            pilots, too) and `split`.
-    """
-
-    name: str
-    folder: str
-    key: str
-    scene: str
-    configuration: str
-    out: str
-    commands: list[list[str]]
-    config: str
-    source: str | None = None
-    options: str = ""
-    kind: Literal["prep", "run", "coarse", "split", "tile"] = "run"
-
-    @property
-    def record(self) -> Path:
-        """Where the result is kept; what is done of a scene before its tiles shares the folder with the run."""
-        return Path(self.folder) / (f"{self.kind}.json" if self.kind in ("coarse", "split") else "task.json")
-
-    @property
-    def document(self) -> Path:
-        """Where its scene's document is, once it has begun."""
-        return Path(self.folder) / ("scene.json" if self.source is not None else f"{self.scene}/scene.json")
-
-    def result(self) -> JsonObject | None:
-        """What an earlier run of the very same task left in this folder, or None; also where a file of it is gone."""
-        try:
-            record = read_json(self.record)
-            _RECORD.check(record, str(self.record))
-        except InputError:  # missing, or not what a batch has written: it is done again
-            return None
-        if record["key"] != self.key or not _complete(self.document):
-            return None
-        # the record of a folder that was copied or moved names the document in the old one
-        return record | {"scene_json": str(self.document)}
-
-    def start(self) -> Path:
-        """Make the folder ready; the path of its scene.json. An earlier result is no longer valid from here on."""
-        folder = Path(self.folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        remove_orphans(folder)
-        self.record.unlink(missing_ok=True)
-        write_text(folder / "config.toml", self.config)
-        if self.source is not None:
-            in_another_root(Path(self.source), folder, Path(self.out))
-        return self.document
-
-
-def _complete(document: Path) -> bool:
-    """Whether a scene's document is there and all files that it names are; those elsewhere are believed to be."""
-    try:
-        return all(isinstance(path, RemotePath) or path.is_file() for path in files_of(Scene.from_file(document)))
-    except SattoolsError:  # missing, or damaged
-        return False
 
 
 class Digests:

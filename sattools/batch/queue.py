@@ -45,7 +45,7 @@ class Batch:
         runs: (scene, configuration) -> the task of what is not finished, before its steps are shared or cut into tiles.
         kept: rows of earlier calls in the same folder, which are not of this one.
         joined: configuration -> what `join` says of its scenes; None where none is done.
-        overwrite: what is finished is done again; forgotten: records of it, which `forget` removes.
+        overwrite: what is finished is done again; forgotten: tasks whose records `forget` removes.
     """
 
     jobs: list[Job] = field(default_factory=list)
@@ -58,18 +58,19 @@ class Batch:
     kept: list[Row] = field(default_factory=list)
     joined: dict[str, JsonObject | None] = field(default_factory=dict)
     overwrite: bool = False
-    forgotten: set[Path] = field(default_factory=set)
+    forgotten: list[Task] = field(default_factory=list)
 
     def earlier(self, task: Task) -> JsonObject | None:
         """What an earlier run has left of a task; None, and it is to be forgotten, where all is done again."""
         if self.overwrite:
-            self.forgotten.add(task.record)
+            self.forgotten.append(task)
         return None if self.overwrite else task.result()
 
     def forget(self) -> None:
         """Remove the records of what is done again: not before nothing is in the way of that."""
-        for record in self.forgotten:
-            record.unlink(missing_ok=True)
+        for task in self.forgotten:
+            task.record.unlink(missing_ok=True)
+            task.begun.unlink(missing_ok=True)
 
     def share(self) -> None:
         """Let runs of one scene that differ only later on start from one prior."""

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from sattools.errors import InputError
-from sattools.scene.dependencies import PRIOR_SECONDS, current_entry
+from sattools.scene.dependencies import EARLIER_SECONDS, PRIOR_SECONDS, current_entry
 from sattools.scene.document import Scene
 from sattools.scene.files import write_bytes, write_text
-from sattools.scene.jsonio import read_text
+from sattools.scene.jsonio import JsonObject, read_text
 
 log = logging.getLogger(__name__)
 Row = dict[str, Any]
@@ -63,7 +63,7 @@ def make_row(scene: str, configuration: str, path: Path) -> Row:
     row: Row = {"scene": scene, "configuration": configuration, "status": "done"}
     # a fit in tiles says what its parts took, each a command of its own
     parts = [entry["parts"] for entry in steps.values() if "parts" in entry]
-    row |= {f"{n}_s": round(e["seconds"] + e.get("parts", {}).get("seconds", 0), 3) for n, e in steps.items()}
+    row |= {f"{name}_s": round(_seconds(entry), 3) for name, entry in steps.items()}
     row["seconds"] = round(sum(row[f"{name}_s"] for name in steps), 3)
     if "fit" in steps:  # of its seconds, where no `prior` went before it
         row["fit_prior_s"] = steps["fit"].get(PRIOR_SECONDS) or steps["fit"].get("parts", {}).get(PRIOR_SECONDS)
@@ -78,6 +78,12 @@ def make_row(scene: str, configuration: str, path: Path) -> Row:
         row[f"{name}_mae_m"] = figures.get("classes", {}).get(name, {}).get("mae")
     row |= {"cells": figures.get("cells"), "protocol": figures.get("protocol")}
     return row
+
+
+def _seconds(entry: JsonObject) -> float:
+    """What a step took, with what it went on with after an interruption."""
+    before = float(entry.get(EARLIER_SECONDS) or 0.0)
+    return float(entry["seconds"]) + float(entry.get("parts", {}).get("seconds", 0.0)) + before
 
 
 def failed_row(scene: str, configuration: str, status: str, error: str) -> Row:

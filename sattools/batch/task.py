@@ -50,24 +50,34 @@ def perform(
         return earlier
     result: dict[str, Any] = {"key": task.key, "name": task.name, "options": task.options}
     own = launcher or Launcher()
+    goes_on = False
     try:
-        scene = task.start()
+        finished = task.go_on()
+        if finished is None:
+            task.start()
         with open(Path(task.folder) / "attempts.jsonl", "a", encoding="utf-8") as file:
             # one short line at the end of a file: written in one piece
             file.write(json.dumps({"key": task.key, "pid": os.getpid(), "time": round(time.time(), 1)}) + "\n")
         for number, command in enumerate(task.commands):
+            if number < (finished or 0):
+                continue
+            goes_on = number == finished
 
             def step(fraction: float, message: str, number: int = number) -> None:
                 report((number + fraction) / len(task.commands), message)
 
-            given = [str(scene) if part == "{scene}" else part for part in command]
+            called = task.going_on(command) if goes_on else command
+            given = [str(task.document) if part == "{scene}" else part for part in called]
             _run(task, given, _Means(threads, memory_mb, gpu, own), step)
-        result |= {"status": "done", "scene_json": str(scene)}
+        result |= {"status": "done", "scene_json": str(task.document)}
         if task.kind == "run":
-            result["row"] = make_row(task.scene, task.configuration, scene)
+            result["row"] = make_row(task.scene, task.configuration, task.document)
         write_text(task.record, json.dumps(result, indent=1) + "\n")
+        task.begun.unlink(missing_ok=True)
     except (SattoolsError, OSError) as error:
         result |= {"status": "failed", "error": " ".join(str(error).split())}
+        if goes_on:  # perhaps for what it went on with: the next run begins anew
+            task.begun.unlink(missing_ok=True)
     finally:
         if launcher is None:
             own.close()
@@ -104,7 +114,7 @@ def _run(task: Task, command: list[str], means: _Means, step: Report) -> None:
             open(Path(task.folder) / "log.txt", "a", encoding="utf-8") as log,
             closing(means.launcher.run(call, means.threads, means.gpu, began)) as lines,
         ):
-            print("$", shlex.join(["sattools", *call]), file=log)
+            print("$", shlex.join(["sattools", *call]), file=log, flush=True)
             for line in lines:
                 if isinstance(line, int):
                     status = line

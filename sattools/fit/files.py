@@ -12,11 +12,12 @@ from sattools.fit.tiles.state import end
 from sattools.fit.trace import Trace
 from sattools.scene import Scene
 from sattools.scene.dependencies import MADE, Seen, record
+from sattools.scene.document import CHECKPOINT
 from sattools.scene.files import all_or_nothing, together, write_text
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.runner import at_the_end, unchanged_unless_done
 
-MODEL, TRACE, CHECKPOINT = "fit/model.safetensors", "fit/trace.csv", "fit/checkpoint.safetensors"
+MODEL, TRACE = "fit/model.safetensors", "fit/trace.csv"
 
 
 @dataclass(frozen=True)

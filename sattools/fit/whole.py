@@ -44,7 +44,7 @@ from sattools.progress import Progress, silent, subprogress
 from sattools.radiometry.bands import chosen_bands
 from sattools.render.around import read_around
 from sattools.scene import Item, Scene
-from sattools.scene.dependencies import ALBEDO_SECONDS, PRIOR_SECONDS, begin, seen
+from sattools.scene.dependencies import ALBEDO_SECONDS, EARLIER_SECONDS, PRIOR_SECONDS, begin, seen
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.views import Opened, Source, load_sources, open_images, warn_of_blank, with_bands
@@ -161,7 +161,9 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
             if setup.options.brdf != "lambert":
                 fitted.notes[:0] = start.notes if start else [UNKNOWN]
         fitted.notes[:0] = [*setup.notes, *blank]
-        return save_fit(scene, fitted, made, read) | matching
+        before = fitted.trace.offset
+        earlier = {EARLIER_SECONDS: round(before, 3)} if before else {}
+        return save_fit(scene, fitted, made, read) | matching | earlier
 
 
 def _starts_from_surface(options: FitOptions) -> bool:

@@ -42,11 +42,13 @@ class MatchedTile:
         height: ``[h, w]`` [m].
         confidence: ``[h, w]`` in [0, 1].
         figures: of the match, see `Matched`; None where nothing was found there.
+        seconds: that it took [s].
     """
 
     height: np.ndarray
     confidence: np.ndarray
     figures: dict[str, Any] | None
+    seconds: float = 0.0
 
     @classmethod
     def of(cls, found: Matched) -> MatchedTile:
@@ -78,6 +80,7 @@ class KeptTiles:
     def __init__(self, scene: Scene, items: list[Item], options: PriorOptions, overwrite: bool) -> None:
         self.scene, self.items, self.options = scene, items, options
         self.may_replace = overwrite
+        self.earlier_s = 0.0  # of those that were read
         if not overwrite and (begun := self._known()):
             self.may_replace = any(about["overwrite"] for about in begun)
 
@@ -117,11 +120,14 @@ class KeptTiles:
             return None
         try:
             with np.load(path, allow_pickle=False) as file:
-                found = MatchedTile(file["height"], file["confidence"], about["figures"])
+                found = MatchedTile(file["height"], file["confidence"], about["figures"], float(about["seconds"]))
         except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
             log.warning("%s: cannot be read (%s), the tile is matched anew", path, " ".join(str(error).split()))
             return None
-        return found if found.height.shape == found.confidence.shape == tile.grid.shape else None
+        if not found.height.shape == found.confidence.shape == tile.grid.shape:
+            return None
+        self.earlier_s += found.seconds
+        return found
 
     def keep(self, tile: Tile, edge: int, found: MatchedTile) -> None:
         """Write a finished tile at once.
@@ -136,7 +142,8 @@ class KeptTiles:
         """
         if self.key is None:
             return
-        about = {"key": self.key, "edge": edge, "overwrite": self.may_replace, "figures": found.figures}
+        about = {"key": self.key, "edge": edge, "overwrite": self.may_replace}
+        about |= {"figures": found.figures, "seconds": round(found.seconds, 3)}
         text = np.frombuffer(json.dumps(about).encode(), np.uint8)
         stream = io.BytesIO()
         np.savez(stream, about=text, height=found.height, confidence=found.confidence)
@@ -209,7 +216,7 @@ def _about(path: Path) -> dict[str, Any] | None:
     try:
         with np.load(path, allow_pickle=False) as file:
             about = json.loads(file["about"].tobytes())
-        return about if about.keys() >= {"key", "edge", "overwrite", "figures"} else None
+        return about if about.keys() >= {"key", "edge", "overwrite", "figures", "seconds"} else None
     except (OSError, KeyError, ValueError, EOFError, AttributeError, zipfile.BadZipFile):
         return None
 

@@ -30,7 +30,7 @@ from sattools.prior.tiled import match_tiles
 from sattools.prior.water import SURE, level_water
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Asset, Grid, Item, Scene
-from sattools.scene.dependencies import MADE, begin, record, seen
+from sattools.scene.dependencies import EARLIER_SECONDS, MADE, begin, record, seen
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.regrid import resize_map
@@ -146,6 +146,7 @@ def prior(
             "image_weights": {name: round(share, 3) for name, share in found.shares.items()},
         },
         MADE: record(scene, "prior", items, read, implicit=implicit),
+        **({EARLIER_SECONDS: round(kept.earlier_s, 3)} if kept.earlier_s else {}),
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -112,7 +113,7 @@ def match_tiles(
     for k, tile in enumerate(tiles):
         part = subprogress(progress, k / len(tiles), (k + 1) / len(tiles))
         part(0.0, f"tile {k + 1} of {len(tiles)}")
-        done = kept.read(tile, edge) if kept else None
+        done, started = (kept.read(tile, edge) if kept else None), time.perf_counter()
         if done is None:
             own = [item for item in items if item.id not in unseen[tile.name]]
             found = None
@@ -128,7 +129,7 @@ def match_tiles(
                 there = sample_map(rough.height, coarse, tile.grid)
                 done = MatchedTile(there, np.zeros_like(there), None)
             if kept:
-                kept.keep(tile, edge, done)
+                kept.keep(tile, edge, replace(done, seconds=time.perf_counter() - started))
         rows, cols = tile.grid.window(grid)
         means.add(done.match(), (rows.stop - rows.start) * (cols.stop - cols.start))
         _add(tile, around, maps, done.height, done.confidence)

@@ -78,6 +78,8 @@ ORDER = list(STAGES)
 Seen = Mapping[str, list[Any]]  # image -> digests of its files, and its properties
 MADE = "made"  # member of a history entry: stage -> record
 PRIOR_SECONDS = "prior_seconds"  # likewise, of `fit`: those of its seconds in which it made the prior itself
+# likewise, of `prior` and `fit`: those that interrupted runs before it took for what it went on with, beside its own
+EARLIER_SECONDS = "earlier_seconds"
 IMAGES = "images"  # likewise, of `prep`: digests of the images whose cameras it has found
 ALBEDO_SECONDS = "albedo_seconds"  # and those in which it solved for the albedo of a surface whose heights stand
 # who began a history entry that makes all others out of date
@@ -358,7 +360,7 @@ def _image(scene: Scene, item: Item, stage: str) -> list[Any]:
 
 
 __all__ = [
-    "ALBEDO_SECONDS", "IMAGES", "MADE", "PRIOR_SECONDS", "SOURCES", "STAGES", "Seen", "begin", "check_current",
-    "current_entry", "drop", "files_of", "image_digests", "in_force", "latest", "may_begin", "names_of", "outdated_by",
-    "record", "seen", "stale",
+    "ALBEDO_SECONDS", "EARLIER_SECONDS", "IMAGES", "MADE", "PRIOR_SECONDS", "SOURCES", "STAGES", "Seen", "begin",
+    "check_current", "current_entry", "drop", "files_of", "image_digests", "in_force", "latest", "may_begin",
+    "names_of", "outdated_by", "record", "seen", "stale",
 ]  # fmt: skip

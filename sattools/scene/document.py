@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     import xarray
 
 FIT_ROLE = "sattools:fit_role"  # of an image that the last fit held out, whatever its role is
+CHECKPOINT = "fit/checkpoint.safetensors"  # below a scene's folder: what an interrupted fit leaves
 PARTS = "fit/tiles"  # below a scene's folder: those of its tiles, each a scene that reads what its whole has
 COG_TYPE = "image/tiff; application=geotiff; profile=cloud-optimized"
 GEOTIFF_TYPE = "image/tiff; application=geotiff"
@@ -391,4 +392,4 @@ def _finite(value: Any) -> Any:
     return value
 
 
-__all__ = ["COG_TYPE", "FIT_ROLE", "GEOTIFF_TYPE", "PARTS", "Asset", "Item", "Scene", "check_id"]
+__all__ = ["CHECKPOINT", "COG_TYPE", "FIT_ROLE", "GEOTIFF_TYPE", "PARTS", "Asset", "Item", "Scene", "check_id"]

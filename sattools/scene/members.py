@@ -154,6 +154,7 @@ _ENTRY = Table(
         "command": Text(),
         "options": Table(),
         "seconds": Number(0),
+        "earlier_seconds": Number(0),
         "prior_seconds": Number(0),
         "albedo_seconds": Number(0),
         "peak_memory_mb": Number(0),

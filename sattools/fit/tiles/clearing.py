@@ -21,7 +21,7 @@ from sattools.scene.files import remove_orphans
 COMMON = f"{PARTS}/common.safetensors"
 WHOLE = f"{PARTS}/scene.json"  # the document of the whole as it was cut
 _PART = re.compile(rf"{COARSE}|(pilot\.)?r\d+c\d+")
-_OF_BATCHES = ("task.json", "attempts.jsonl", "config.toml", "log.txt")
+_OF_BATCHES = ("task.json", "begun.json", "attempts.jsonl", "config.toml", "log.txt")
 _IN_PARTS = ("scene.json", MODEL, TRACE, CHECKPOINT, *MAPS.values(), SURROUNDINGS, NAME, f"{NAME}.1", *_OF_BATCHES)
 _STAGES = ("normalise", "prior", "fit")  # what is done of a part before it is joined
 
