@@ -11,8 +11,8 @@ from sattools.scene.regrid import resize_map
 
 STEP_M = 2.0  # height step between neighbours from which they may be two sides of a wall
 # across a step up to the first a wall may become a ramp, over the second not: a ramp is wrong on both sides of a wall
-# that stands upright, by the more the higher it is
-TALL_M = (10.0, 30.0)
+# that stands upright, by the more the higher it is (a lower limit suits simulated walls, lidar with ramps none)
+TALL_M = (5.0, 15.0)
 PASSES = 2  # twice 1 2 1: as wide as means of cells of twice the size, interpolated
 BLURRED_M = (30.0, 60.0)  # the same for cells that a wall divides
 FIRM = (0.4, 0.6)  # mean likeness to one side at walls: below the first they are anywhere, from the second on in place
