@@ -145,7 +145,7 @@ def match(
     if chance:
         lowered = without_lumps(lowered, stands, frame.cell)
     if many_in_town:
-        whole = pieces_of_roofs(height, lowered, stands, agreeing / np.maximum(views, 1), frame.cell)
+        whole = pieces_of_roofs(height, lowered, agreeing / np.maximum(views, 1), frame.cell)
         lowered[whole] = height[whole]
         lowered = close_pits(task, visibility, lowered)
     height = lowered if crowns is None else with_crowns(lowered, crowns)
