@@ -45,6 +45,15 @@ def test_a_piece_at_another_height_is_not_of_this_roof() -> None:
     assert not fallen(BITE, 0.33, ROOF_M - 6).any()
 
 
+def test_what_is_rough_is_no_piece_of_a_roof() -> None:
+    """Heights from 1.9 m below the roof's to 1.9 m above it: a standard deviation of 1.1 m; of half of that 0.55."""
+    for most, stays in ((1.9, False), (0.95, True)):
+        height, lowered, share = tower()
+        lowered[BITE], share[BITE] = 0.0, 0.33
+        height[BITE] += np.linspace(-most, most, 12, dtype=np.float32)[:, None]
+        assert pieces_of_roofs(height, lowered, share, CELL).any() == stays
+
+
 def test_a_rim_of_one_cell_is_not_a_piece() -> None:
     assert not fallen(np.s_[20:60, 20:21], 0.4).any()
 

@@ -13,7 +13,8 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_opening, find_objects, label
 
 LOWER_M = 5.0  # by which filling a piece would lower it, at least
-LEVEL_M = 2.0  # heights that differ by less are one roof
+LEVEL_M = 2.0  # heights that differ by less are one roof,
+ROUGH_M = 1.0  # unless their standard deviation is as large as that
 SHARE = 0.25  # of the views that see a piece, in the mean over its cells, have their best place there
 AROUND_M = 0.7  # width of the ring around a piece where its roof is looked for
 ROOF = 0.2  # of that ring has the piece's height, whether it stands or not
@@ -40,7 +41,7 @@ def pieces_of_roofs(height: np.ndarray, lowered: np.ndarray, share: np.ndarray, 
         near = np.abs(height[box] - np.median(height[box][piece])) < LEVEL_M
         ring = binary_dilation(piece, ANY, width) & ~piece
         piece &= near
-        if piece.sum() < FEWEST_CELLS or share[box][piece].mean() < SHARE:
+        if piece.sum() < FEWEST_CELLS or share[box][piece].mean() < SHARE or height[box][piece].std() >= ROUGH_M:
             continue
         if (ring & near).sum() >= ROOF * ring.sum():
             result[box] |= binary_dilation(piece, ANY) & near & fallen[box]
