@@ -22,6 +22,7 @@ from sattools.prior.cells import grids
 from sattools.prior.matched import Matched
 from sattools.prior.options import PriorOptions
 from sattools.scene import Item, Scene
+from sattools.scene.dependencies import left_behind
 from sattools.scene.files import digest, immediately, remove_orphans, write_bytes
 from sattools.scene.tiles import Tile
 from sattools.views import used_assets
@@ -95,8 +96,7 @@ class KeptTiles:
         options = {name: value for name, value in asdict(self.options).items() if name not in _HOUSEKEEPING}
         fine = grids(scene, self.items, self.options)[1]
         what: list[Any] = [__version__, options, fine.to_dict(), scene.surroundings_m, scene.require_height_range()]
-        what += [digests, [[item.id, item.properties] for item in self.items]]
-        what.append([{name: asset.extra for name, asset in item.assets.items()} for item in self.items])
+        what += [digests, [_as_given(item) for item in self.items]]
         return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
 
     def edge(self) -> int | None:
@@ -209,6 +209,13 @@ def how_to_go_on(scene: Scene) -> str | None:
         f"interrupted; kept {counted(count, 'tiles')}: `sattools prior` with the same options goes on with them, with "
         "--overwrite it begins anew"
     )
+
+
+def _as_given(item: Item) -> list[Any]:
+    """What the document says of an image, without what was made of it and goes as soon as the matching begins."""
+    assets, properties = left_behind("prior")
+    given = {name: value for name, value in item.properties.items() if name not in properties}
+    return [item.id, given, {name: asset.extra for name, asset in item.assets.items() if name not in assets}]
 
 
 def _about(path: Path) -> dict[str, Any] | None:

@@ -145,6 +145,13 @@ def drop(scene: Scene, stage: str) -> list[str]:
     return gone
 
 
+def left_behind(stage: str) -> tuple[set[str], set[str]]:
+    """Names of the assets and of the properties that a stage and all after it leave with images."""
+    made = [STAGES[later] for later in ORDER[ORDER.index(stage) :]]
+    assets, properties = ({name for one in made for name in getattr(one, kind)} for kind in ("assets", "properties"))
+    return assets, properties
+
+
 def files_of(scene: Scene) -> list[Path]:
     """All files that a scene's document names, sorted."""
     hrefs = [asset.href for item in scene.items for asset in item.assets.values()]
@@ -361,6 +368,6 @@ def _image(scene: Scene, item: Item, stage: str) -> list[Any]:
 
 __all__ = [
     "ALBEDO_SECONDS", "EARLIER_SECONDS", "IMAGES", "MADE", "PRIOR_SECONDS", "SOURCES", "STAGES", "Seen", "begin",
-    "check_current", "current_entry", "drop", "files_of", "image_digests", "in_force", "latest", "may_begin",
-    "names_of", "outdated_by", "record", "seen", "stale",
+    "check_current", "current_entry", "drop", "files_of", "image_digests", "in_force", "latest", "left_behind",
+    "may_begin", "names_of", "outdated_by", "record", "seen", "stale",
 ]  # fmt: skip

@@ -17,6 +17,7 @@ from sattools.prior import PriorOptions, foresight, resume, tiled
 from sattools.prior.foresight import START_S, foresee_matching
 from sattools.prior.gate import check_start
 from sattools.scene import Scene
+from sattools.scene.document import FIT_ROLE
 
 GIVEN = PriorOptions(rough_passes=1, pairs=6)
 MATCHED = "rough pass 1 of 1"  # told once of every tile that is matched
@@ -187,6 +188,19 @@ def test_what_was_begun_to_replace_a_finished_surface_goes_on_without_a_further_
     assert files(scene).keys() == before.keys()
     with pytest.raises(OutputExistsError):  # it is finished
         api.match(scene, other)
+
+
+def test_what_was_made_of_the_surface_that_is_replaced_is_not_in_the_way_of_going_on(
+    whole: Scene, tmp_path: Path
+) -> None:
+    scene, other = copied(whole, tmp_path / "SCENE"), replace(GIVEN, small_jump=0.3)
+    for item in scene.train_items():
+        item.assets["shadow"] = item.assets["depth"] = item.assets["image"]
+        item.properties[FIT_ROLE] = "train"
+    scene.write()
+    interrupted(scene, options=other, overwrite=True)
+    assert kept(scene) == {"r0c0", "r0c1"}
+    assert matched_of(scene, other) == 2
 
 
 @pytest.mark.parametrize("data", [b"", b"somebody's", None])
