@@ -15,10 +15,10 @@ from sattools.scene.document import CHECKPOINT, Scene
 from sattools.scene.files import remove_orphans, write_text
 from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.location import RemotePath
-from sattools.scene.schema import Number, Table, Text
+from sattools.scene.schema import Items, Number, Table, Text
 
 _RECORD = Table({"key": Text(), "status": Text(), "scene_json": Text(), "row": Table()}, ("key", "scene_json"))
-_BEGUN = Table({"key": Text(), "history": Number(0)}, ("key", "history"))
+_BEGUN = Table({"key": Text(), "history": Number(0), "steps": Items(Text())}, ("key", "history", "steps"))
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,10 @@ class Task:
         """Where it is noted while it is done, for another run to go on with it."""
         return Path(self.folder) / "begun.json"
 
+    @property
+    def _steps(self) -> list[str]:
+        return [command[0] for command in self.commands]
+
     def result(self) -> JsonObject | None:
         """What an earlier run of the very same task left in this folder, or None; also where a file of it is gone."""
         try:
@@ -86,7 +90,8 @@ class Task:
             self._remove_left_over()
             document = in_another_root(Path(self.source), folder, Path(self.out))
             known = len(Scene.from_file(document).history)
-            write_text(self.begun, json.dumps({"key": self.key, "history": known}) + "\n")
+            begun = {"key": self.key, "history": known, "steps": self._steps}
+            write_text(self.begun, json.dumps(begun) + "\n")
         return self.document
 
     def go_on(self) -> int | None:
@@ -115,11 +120,12 @@ class Task:
             _BEGUN.check(noted, str(self.begun))
         except InputError:
             return None
-        if noted["key"] != self.key or not _complete(self.document):
+        # a run that shares what is made of its scene begins with less to do, on another document, for the same result
+        if noted["key"] != self.key or noted["steps"] != self._steps or not _complete(self.document):
             return None
         history = [entry.get("command") for entry in Scene.from_file(self.document).history]
         since = history[int(noted["history"]) :]
-        known = len(history) >= noted["history"] and since == [command[0] for command in self.commands[: len(since)]]
+        known = len(history) >= noted["history"] and since == self._steps[: len(since)]
         return len(since) if known else None
 
     def _remove_left_over(self) -> None:

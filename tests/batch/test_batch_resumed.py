@@ -159,3 +159,17 @@ def test_a_history_of_other_commands_is_not_gone_on_with(
     content["sattools"]["history"].append({"command": "align"})
     task.document.write_text(json.dumps(content))
     assert task.go_on() is None
+
+
+def test_what_was_begun_alone_is_not_gone_on_with_once_its_prior_is_shared(
+    make_hamlet: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It went on with the fit, on a document without that prior, and the fit made one with other options."""
+    scene = make_hamlet()
+    ended_at(task_of(scene, tmp_path / "out"), "reading images", monkeypatch)
+    other = {**TABLES, "fit": {**TABLES["fit"], "epochs": [9, 9]}}
+    both = [Configuration(name, tables, tables) for name, tables in (("quick", TABLES), ("other", other))]
+    shared, quick, _ = (job.task for job in make_plan(BatchOptions(out=str(tmp_path / "out")), [scene], both).jobs)
+    assert [performed(task)["status"] for task in (shared, quick)] == ["done", "done"]
+    history = Scene.from_file(quick.document).history
+    assert [entry["command"] for entry in history if entry["command"] in ("prior", "fit")] == ["prior", "fit"]
