@@ -71,15 +71,19 @@ def level_water(height: np.ndarray, confidence: np.ndarray, cell: float, looks: 
     levels = water_levels(means, size * cell, looks, few=pairs < FEW_PAIRS)
     if not np.isfinite(levels).any():
         return water
+    # what makes no whole block along two edges is as the block beside it
+    of_row, of_col = (np.minimum(np.arange(n) // size, count - 1) for n, count in zip(water.shape, shape, strict=True))
     for rows, blocks in _bands(shape, size):
-        level = np.repeat(np.repeat(levels[blocks], size, axis=0), size, axis=1)
-        own, doubt = np.array(height[rows, : level.shape[1]]), np.array(confidence[rows, : level.shape[1]])
+        if blocks.stop == shape[0]:
+            rows = slice(rows.start, water.shape[0])
+        level = levels[of_row[rows]][:, of_col]
+        own, doubt = np.array(height[rows]), np.array(confidence[rows])
         first = max(0, rows.start - 2 * size)  # what is sure stays so where rows above have been laid level
-        something = _stands_there(confidence[first : rows.stop + 2 * size, : level.shape[1]], cell)
+        something = _stands_there(confidence[first : rows.stop + 2 * size], cell)
         laid = np.isfinite(level) & ~something[rows.start - first :][: len(own)]
         own[laid], doubt[laid] = level[laid], 0.0
-        height[rows, : level.shape[1]], confidence[rows, : level.shape[1]] = own, doubt
-        water[rows, : level.shape[1]] = laid
+        height[rows], confidence[rows] = own, doubt
+        water[rows] = laid
     return water
 
 

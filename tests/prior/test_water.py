@@ -65,6 +65,19 @@ def test_water_lies_level_with_its_quay_and_is_not_sure(harbour: Harbour, pairs:
     assert not harbour.water[:, 96:].any()
 
 
+def test_water_goes_on_to_the_very_edge_of_the_area(harbour: Harbour) -> None:
+    """Rows and columns that make no whole block kept their lumps: a rim of up to 4 m along two edges."""
+    lumps = np.random.default_rng(1).normal(0.0, 6.0, (SHAPE[0] + 7, SHAPE[1] + 7)).astype(np.float32)
+    doubt = np.full(lumps.shape, 0.03, np.float32)
+    lumps[: SHAPE[0], : SHAPE[1]], doubt[: SHAPE[0], : SHAPE[1]] = harbour.height[:, ::-1], harbour.confidence[:, ::-1]
+    lumps[SHAPE[0] :, :110], doubt[SHAPE[0] :, :110] = 2.0, 0.6
+    harbour = Harbour(lumps, doubt, harbour.shown[:, :, ::-1])
+    harbour.levelled()
+    np.testing.assert_allclose(harbour.height[:, 120:], 2.0, atol=1e-5)
+    assert (harbour.water[:, 120:] == 1).all()
+    assert not harbour.water[:, :100].any()
+
+
 def test_a_pier_stays(harbour: Harbour) -> None:
     harbour.height[100:116, 30:90], harbour.confidence[100:116, 30:90] = 3.5, 0.6
     harbour.levelled()
